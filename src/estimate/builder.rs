@@ -9,7 +9,7 @@ use super::{GridKind, GridSettings, Plan, Summed};
 use crate::geometry::{Domain, Lattice};
 use crate::io::mix;
 use crate::octree::{Cell, MaxLevels, Octree, morton};
-use crate::posterior::{DensePosterior, OctreePosterior, Posterior, RayCoverage, Refinement, VertexSums};
+use crate::posterior::{DensePosterior, OctreePosterior, Posterior, RayCoverage, Refinement, Sums, VertexSums};
 use crate::rays::{RaySet, RayStream, RunProgress, SURFACE_WEIGHT, Shard, VolumeRays};
 use crate::render::RaySamples;
 use crate::uncertainty::{RunRecord, Support, UncertaintyField};
@@ -61,7 +61,7 @@ impl Finish for DensePosterior {
     }
 }
 
-impl Finish for OctreePosterior {
+impl<S: Sums> Finish for OctreePosterior<S> {
     fn field(self, record: RunRecord, lattice: Lattice, at: Octree, keep_sums: bool) -> UncertaintyField {
         UncertaintyField::on_octree(record, lattice, self, at, keep_sums)
     }

@@ -2,7 +2,7 @@
 //! often, and what the file holds.
 //!
 //! A container file with the sections `run` (the run and its progress, in bincode: only this program reads it), `keys`
-//! (u64, of vertices; empty for a dense grid), `sums` ([`VertexSums`], one per key, or per lattice point of a dense
+//! (u64, of vertices; empty for a dense grid), `sums` ([`Posterior::Sums`], one per key, or per lattice point of a dense
 //! grid), `surface` and `ray_coverage`. Sums are kept bit for bit, and the run continues after the last counted ray. A
 //! resumed run therefore ends with the bits of an uninterrupted one. A run accepts only a state with its own
 //! description.
@@ -17,7 +17,7 @@ use super::builder::{Builder, Finish};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::{MaxLevels, Tile};
-use crate::posterior::{Posterior, RayCoverage, VertexSums};
+use crate::posterior::{Posterior, RayCoverage, Sums};
 use crate::rays::{Pixels, RunProgress, Shard};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
@@ -156,7 +156,7 @@ impl<'a> Saver<'a> {
 }
 
 /// Fields of [`RunKey`] have no names in the file: a change there is a new version.
-const FORMAT: Format = (b"OCTOCHK\n", 1);
+const FORMAT: Format = (b"OCTOCHK\n", 2);
 /// Most bytes that the section `run` may claim. It takes some two hundred; only the source's name varies.
 const MAX_RUN_BYTES: usize = 1 << 20;
 
@@ -204,7 +204,8 @@ pub struct RunKey {
 struct Head {
     key: RunKey,
     progress: RunProgress,
-    dense: bool,
+    /// [`Posterior::NAME`].
+    grid: [String; 2],
 }
 
 impl Head {
@@ -236,9 +237,9 @@ pub(super) struct State<P> {
 }
 
 /// The sums as one section.
-struct Sums<'a, P>(&'a P);
+struct AllSums<'a, P>(&'a P);
 
-impl<P: Posterior> Section for Sums<'_, P> {
+impl<P: Posterior> Section for AllSums<'_, P> {
     fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
         self.0.slices().try_for_each(|sums| sums.visit(visit))
     }
@@ -256,14 +257,14 @@ pub(super) fn save<P: Posterior>(
     surface: &[[f32; 3]],
     ray_coverage: Option<&RayCoverage>,
 ) -> Result<()> {
-    let head = Head { key: key.clone(), progress, dense: P::IS_DENSE };
+    let head = Head { key: key.clone(), progress, grid: P::NAME.map(String::from) };
     let head = bincode::serde::encode_to_vec(head, bincode::config::standard())
         .map_err(|e| Error::malformed(path, "section `run`", "an encodable description", e.to_string()))?;
     let (keys, ray_coverage) = (posterior.keys(), ray_coverage.map_or(&[][..], RayCoverage::counts));
     let sections: [(&str, &dyn Section); 5] = [
         ("run", &head),
         ("keys", &keys),
-        ("sums", &Sums(posterior)),
+        ("sums", &AllSums(posterior)),
         ("surface", &surface),
         ("ray_coverage", &ray_coverage),
     ];
@@ -302,13 +303,13 @@ pub(super) fn load<P: Posterior>(
         let found = format!("{found}, of another run (a restart discards it)");
         return Err(Error::malformed(path, format!("run, {what}"), expected, found));
     }
-    if head.dense != P::IS_DENSE {
-        let name = |dense| if dense { "dense" } else { "octree" };
-        return Err(Error::malformed(path, "run, grid", name(P::IS_DENSE), name(head.dense)));
+    if let Some(k) = (0..2).find(|k| head.grid[*k] != P::NAME[*k]) {
+        let found = format!("{}, of another run (a restart discards it)", head.grid[k]);
+        return Err(Error::malformed(path, ["run, grid", "run, what is summed"][k], P::NAME[k], found));
     }
     let keys = file.section::<u64>("keys")?;
-    let posterior = P::restore(key.lattice, limits, tile, &keys, file.section::<VertexSums>("sums")?);
-    let is_valid = |posterior: &P| posterior.slices().flatten().all(VertexSums::is_valid);
+    let posterior = P::restore(key.lattice, limits, tile, &keys, file.section::<P::Sums>("sums")?);
+    let is_valid = |posterior: &P| posterior.slices().flatten().all(|sums| sums.widened().is_valid());
     let posterior = posterior.filter(|posterior| is_valid(posterior) && key.shard.admits(&head.progress));
     let posterior = posterior.ok_or_else(|| {
         Error::malformed(

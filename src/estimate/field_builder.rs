@@ -7,7 +7,7 @@ use super::checkpoint::RunKey;
 use super::{GridKind, GridSettings};
 use crate::Result;
 use crate::geometry::{Domain, Lattice};
-use crate::posterior::{DensePosterior, OctreePosterior};
+use crate::posterior::{DensePosterior, DiagonalSums, Entries, OctreePosterior};
 use crate::rays::{RayStream, RunProgress};
 use crate::render::RaySamples;
 use crate::uncertainty::UncertaintyField;
@@ -15,18 +15,20 @@ use crate::uncertainty::UncertaintyField;
 /// Builds an uncertainty field from ray samples, on the grid that the settings ask for.
 pub struct FieldBuilder(Kind);
 
-/// Either kind of grid.
+/// Either kind of grid, and what an octree sums.
 enum Kind {
     Dense(Builder<DensePosterior>),
     Octree(Builder<OctreePosterior>),
+    Diagonal(Builder<OctreePosterior<DiagonalSums>>),
 }
 
-/// What a builder of either kind does.
+/// What a builder of any kind does.
 macro_rules! either {
     ($kind:expr, $builder:ident => $call:expr) => {
         match $kind {
             Kind::Dense($builder) => $call,
             Kind::Octree($builder) => $call,
+            Kind::Diagonal($builder) => $call,
         }
     };
 }
@@ -37,9 +39,10 @@ impl FieldBuilder {
     /// # Errors
     /// As [`GridSettings::lattice`].
     pub fn new(settings: GridSettings, domain: Domain) -> Result<Self> {
-        Ok(Self(match settings.grid {
-            GridKind::Dense => Kind::Dense(Builder::new(settings, domain, None)?),
-            GridKind::Octree => Kind::Octree(Builder::new(settings, domain, None)?),
+        Ok(Self(match (settings.grid, settings.entries(false)) {
+            (GridKind::Dense, _) => Kind::Dense(Builder::new(settings, domain, None)?),
+            (GridKind::Octree, Entries::All) => Kind::Octree(Builder::new(settings, domain, None)?),
+            (GridKind::Octree, Entries::Diagonal) => Kind::Diagonal(Builder::new(settings, domain, None)?),
         }))
     }
 
@@ -92,6 +95,9 @@ impl FieldBuilder {
     }
 
     /// Computes the field from the rays so far.
+    ///
+    /// # Panics
+    /// If `source` is a part of a run, on an octree whose settings keep no sums.
     #[must_use]
     pub fn finish(self, source: &FieldSource) -> UncertaintyField {
         either!(self.0, builder => builder.finish(source))

@@ -4,7 +4,7 @@ use derive_setters::Setters;
 
 use crate::geometry::{Domain, Lattice};
 use crate::octree::Tile;
-use crate::posterior::{Covariance, Criteria, DensePosterior, Pooling, Scale};
+use crate::posterior::{Covariance, Criteria, DensePosterior, Entries, Pooling, Scale};
 use crate::{Error, Result};
 
 /// The structure that carries the field.
@@ -53,8 +53,8 @@ pub struct GridSettings {
     /// it.
     #[setters(into)]
     pub tile: Option<Tile>,
-    /// Whether the field keeps its sums, for other covariances and merging. Without them an octree needs a third less
-    /// memory to finish. A part of a run keeps them all the same.
+    /// Whether the field keeps its sums, for other covariances and merging. Without them an octree takes half of the
+    /// memory, or two thirds for [`Covariance::Block`]. A part of a run keeps them all the same.
     pub keep_sums: bool,
 }
 
@@ -91,6 +91,17 @@ impl GridSettings {
     #[must_use]
     pub fn needs_plan(&self) -> bool {
         self.memory.is_some() || self.criteria.ray_count
+    }
+
+    /// Whether the sums are copied to the vertices of the field, in a run that is a part of another or a whole one.
+    pub(super) fn gathers_sums(&self, is_part: bool) -> bool {
+        is_part || self.tile.is_some() || self.keep_sums || self.pooling.is_on()
+    }
+
+    /// What an octree sums of S: no more than is read.
+    pub(super) fn entries(&self, is_part: bool) -> Entries {
+        let is_whole = self.gathers_sums(is_part) || self.covariance == Covariance::Block;
+        if is_whole { Entries::All } else { Entries::Diagonal }
     }
 
     /// Prior precision λ over `lattice`, 1 / scene unit².

@@ -14,10 +14,7 @@ use crate::geometry::Lattice;
 use crate::io::memory;
 use crate::monitor::Monitor;
 use crate::octree::{MaxLevels, Tile};
-use crate::posterior::{
-    AT_ONCE, CONTRIBUTION_BYTES, DensePosterior, FactoredSums, Needs, PilotCounts, SpeciesEstimate, VertexSums,
-    spare_bytes,
-};
+use crate::posterior::{DensePosterior, Entries, FactoredSums, PilotCounts, SpeciesEstimate, VertexSums, list_bytes};
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::splats::Use;
 use crate::{Error, Result};
@@ -148,6 +145,7 @@ pub struct Planner {
     scale: f64,
     own_scale: f64,
     is_part: bool,
+    entries: Entries,
     outside: f64,
     /// What earlier attempts took.
     correction: Correction,
@@ -198,8 +196,9 @@ impl Planner {
             census.add(batches);
             Ok(())
         })?;
-        let lists =
-            LISTS * (AT_ONCE * rayon::current_num_threads() * census.longest_batch() * CONTRIBUTION_BYTES) as f64;
+        let is_part = shard.of > 1 || settings.tile.is_some();
+        let entries = settings.entries(is_part);
+        let lists = LISTS * list_bytes(entries, census.longest_batch()) as f64;
         let scale = rays.rays as f64 / pilot.rays as f64;
         // All parts of a run expect the same.
         let own_scale = scale / shard.of as f64;
@@ -220,7 +219,8 @@ impl Planner {
             vertices_unlimited,
             scale,
             own_scale,
-            is_part: shard.of > 1 || settings.tile.is_some(),
+            is_part,
+            entries,
             outside,
             correction: Correction { sums: 1.0, vertices: 1.0 },
             time: match preparing {
@@ -254,15 +254,14 @@ impl Planner {
                 (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64, 0.0)
             }
             GridKind::Octree => {
-                let Needs { summing, sums, bricks, vertices } =
-                    self.census.needs(self.own_scale, &limits, self.settings.tile);
-                let Correction { sums: of_sums, vertices: of_vertices } = self.correction;
-                (of_vertices * vertices, of_sums * summing, spare_bytes(of_sums * sums, of_sums * bricks))
+                let needs = self.census.needs(self.own_scale, &limits, self.settings.tile);
+                let Correction { sums, vertices } = self.correction;
+                (vertices * needs.vertices, sums * needs.summing(self.entries), needs.spare(sums))
             }
         };
         let [structure, stored] = if self.settings.grid == GridKind::Dense { [0.0; 2] } else { STRUCTURE };
         let building = if self.settings.grid == GridKind::Dense { 0.0 } else { BUILDING };
-        let keeps_sums = self.settings.keep_sums || self.is_part || self.settings.pooling.is_on();
+        let keeps_sums = self.settings.gathers_sums(self.is_part);
         let gathered = if keeps_sums && self.settings.grid == GridKind::Octree { size_of::<VertexSums>() } else { 0 };
         let in_file = match (self.is_part, self.settings.keep_sums) {
             (true, _) => EXACT,
@@ -351,11 +350,10 @@ impl Planner {
     /// Makes all further plans expect as much more, or less, as was found: the sums came to `summed` after the fraction
     /// `done` of the rays of `plan`.
     pub(super) fn correct(&mut self, plan: &Plan, done: f64, summed: Summed) {
-        let Needs { summing, vertices, .. } =
-            self.census.needs(done * self.own_scale, &plan.limits, self.settings.tile);
-        let sums = summed.used as f64 / summing.max(1.0);
+        let needs = self.census.needs(done * self.own_scale, &plan.limits, self.settings.tile);
+        let sums = summed.used as f64 / needs.summing(self.entries).max(1.0);
         // Where nobody counted, there are as many more vertices as sums.
-        let counted = summed.vertices.map(|count| count as f64 / vertices.max(1.0));
+        let counted = summed.vertices.map(|count| count as f64 / needs.vertices.max(1.0));
         self.correction = Correction { sums, vertices: counted.unwrap_or(sums) };
     }
 }

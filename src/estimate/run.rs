@@ -18,7 +18,7 @@ use super::{
 };
 use crate::geometry::{Aabb, Lattice, kept_pixels};
 use crate::octree::Leaves;
-use crate::posterior::{DensePosterior, OctreePosterior, RayCoverage};
+use crate::posterior::{DensePosterior, DiagonalSums, Entries, OctreePosterior, RayCoverage};
 use crate::rays::{End, Pixels, Purpose, RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
@@ -239,9 +239,11 @@ impl<'a> Run<'a> {
     /// If the field is not finite on too many rays, the memory budget does not hold the coarsest leaves, a
     /// checkpoint cannot be read or written, a [tap](Estimation::tap) fails, or the work was interrupted.
     pub fn finish(self) -> Result<Outcome> {
-        match self.settings.grid.grid {
-            GridKind::Dense => self.finish_with::<DensePosterior>(),
-            GridKind::Octree => self.finish_with::<OctreePosterior>(),
+        let grid = &self.settings.grid;
+        match (grid.grid, grid.entries(self.settings.own_shard().of > 1)) {
+            (GridKind::Dense, _) => self.finish_with::<DensePosterior>(),
+            (GridKind::Octree, Entries::All) => self.finish_with::<OctreePosterior>(),
+            (GridKind::Octree, Entries::Diagonal) => self.finish_with::<OctreePosterior<DiagonalSums>>(),
         }
     }
 
@@ -332,7 +334,9 @@ impl<'a> Run<'a> {
         }
         let mut builders = Vec::new();
         for grid in grids {
-            let mut builder = FieldBuilder::new(*grid, *domain)?;
+            // A part of a run has all sums.
+            let grid = grid.keep_sums(grid.keep_sums || self.settings.own_shard().of > 1);
+            let mut builder = FieldBuilder::new(grid, *domain)?;
             builder.want_density(&self.stream)?;
             if self.stream.source.splats().is_some() {
                 builder.spread_surface(self.settings.rays.rays);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::ops::AddAssign;
 
-use super::{Posterior, Refinement, VertexSums};
+use super::{Posterior, Refinement, Sums, VertexSums};
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Tile, trilinear};
 use crate::render::RaySamples;
@@ -67,7 +67,8 @@ impl AddAssign<&Self> for DensePosterior {
 }
 
 impl Posterior for DensePosterior {
-    const IS_DENSE: bool = true;
+    const NAME: [&'static str; 2] = ["dense grid", <VertexSums as Sums>::NAME];
+    type Sums = VertexSums;
     /// All lattice points.
     type Vertices = ();
 

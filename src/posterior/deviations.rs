@@ -8,7 +8,7 @@ use super::means::BLOCK;
 use super::octree::TOGETHER;
 use super::pooling::Pooling;
 use super::shrinkage::{Block, Shrinkage};
-use super::{Covariance, OctreePosterior, Scale, VertexSums, negligible_information};
+use super::{Covariance, OctreePosterior, Scale, Sums, VertexSums, negligible_information};
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, mean_volume};
 
@@ -108,7 +108,7 @@ pub fn comparable(limits: &MaxLevels, point: [u32; 3], mut sums: VertexSums) -> 
     sums
 }
 
-impl OctreePosterior {
+impl<S: Sums> OctreePosterior<S> {
     /// What queries need of every vertex of `octree`, σ and a code of its number of rays, without a copy of the sums,
     /// and without pooling.
     pub(crate) fn values<C: Copy + Default + Send>(

@@ -20,6 +20,7 @@ mod pooling;
 mod ray_coverage;
 mod scale;
 mod shrinkage;
+mod sums;
 
 pub use covariance::Covariance;
 pub(crate) use covariance::negligible_information;
@@ -27,11 +28,12 @@ pub use dense::DensePosterior;
 pub(crate) use deviations::Reading;
 pub use deviations::Support;
 pub(crate) use deviations::{LocalSums, comparable, deviations};
-pub(crate) use octree::{AT_ONCE, CONTRIBUTION_BYTES, spare_bytes};
 pub use octree::{Criteria, Criterion, OctreePosterior};
-pub(crate) use octree::{Needs, PilotCounts, Refinement, SpeciesEstimate};
+pub(crate) use octree::{PilotCounts, Refinement, SpeciesEstimate, list_bytes};
 pub use pooling::Pooling;
 pub use scale::{DataScale, Scale};
+pub(crate) use sums::{DiagonalSums, Entries};
+pub use sums::{Information, Sums, VertexSums, trace};
 
 // What only the program, Python and the experiments name.
 #[doc(hidden)]
@@ -39,17 +41,16 @@ pub use self::{factor::FactoredSums, ray_coverage::RayCoverage};
 
 use std::ops::AddAssign;
 
-use bytemuck::{Pod, Zeroable};
-
 use crate::geometry::Lattice;
-use crate::io::container::Item;
 use crate::octree::{MaxLevels, Tile};
 use crate::render::RaySamples;
 
 /// Sums of information over a stream of ray samples, on one kind of grid.
 pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
-    /// Whether every lattice point has sums.
-    const IS_DENSE: bool;
+    /// The name of such a grid and of what it sums.
+    const NAME: [&'static str; 2];
+    /// What is summed at each vertex.
+    type Sums: Sums;
     /// Where the vertices of a field of these sums are.
     type Vertices;
 
@@ -84,7 +85,7 @@ pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
     fn keys(&self) -> Vec<u64>;
 
     /// The sums, slice by slice.
-    fn slices(&self) -> impl Iterator<Item = &[VertexSums]>;
+    fn slices(&self) -> impl Iterator<Item = &[Self::Sums]>;
 
     /// Restores what [`Posterior::keys`] and [`Posterior::slices`] returned, in the same order; `None` if they are not
     /// those of such a grid.
@@ -93,78 +94,6 @@ pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
         limits: &MaxLevels,
         tile: Option<Tile>,
         keys: &[u64],
-        sums: Vec<VertexSums>,
+        sums: Vec<Self::Sums>,
     ) -> Option<Self>;
-}
-
-/// S = Σ_r JᵀJ of one vertex, summed over rays and colour channels: xx, xy, xz, yy, yz, zz, in 1 / scene unit².
-pub type Information = [f64; 6];
-
-/// tr S.
-#[must_use]
-pub fn trace(s: &Information) -> f64 {
-    s[0] + s[3] + s[5]
-}
-
-/// Sums over the rays that touched a vertex; 56 bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
-#[repr(C)]
-pub struct VertexSums {
-    /// S.
-    pub information: Information,
-    /// Number of rays with a sample in one of the vertex's cells.
-    pub rays: u32,
-    /// Fills the last bytes, so that sums can lie in memory that is mapped.
-    unused: u32,
-}
-
-impl VertexSums {
-    /// Sums over so many rays.
-    #[must_use]
-    #[inline]
-    pub fn new(information: Information, rays: u32) -> Self {
-        Self { information, rays, unused: 0 }
-    }
-
-    /// Checks whether rays can have produced these sums.
-    ///
-    /// All numbers are finite, the diagonal of the information is not negative, and its other entries are not
-    /// larger than a sum of squares allows (Cauchy-Schwarz).
-    #[must_use]
-    pub fn is_valid(&self) -> bool {
-        let [xx, xy, xz, yy, yz, zz] = self.information;
-        // Each of at most 2³² terms is rounded by 2⁻⁵³ of its bound. Subnormal numbers have no bounded relative
-        // rounding.
-        let bounded = |product: f64, a: f64, b: f64| {
-            product.abs() <= a.sqrt() * b.sqrt() * (1.0 + 1e-6) + f64::MIN_POSITIVE.sqrt()
-        };
-        trace(&self.information).is_finite()
-            && xx.min(yy).min(zz) >= 0.0
-            && bounded(xy, xx, yy)
-            && bounded(xz, xx, zz)
-            && bounded(yz, yy, zz)
-    }
-}
-
-impl AddAssign<&Self> for VertexSums {
-    /// Adds the sums over other rays.
-    #[inline]
-    fn add_assign(&mut self, other: &Self) {
-        self.information.iter_mut().zip(other.information).for_each(|(s, o)| *s += o);
-        self.rays = self.rays.saturating_add(other.rays);
-    }
-}
-
-impl Item for VertexSums {
-    const SIZE: usize = Information::SIZE + u32::SIZE;
-
-    fn put(self, out: &mut Vec<u8>) {
-        self.information.put(out);
-        self.rays.put(out);
-    }
-
-    fn take(bytes: &[u8]) -> Self {
-        let (information, rays) = bytes.split_at(Information::SIZE);
-        Self::new(Item::take(information), Item::take(rays))
-    }
 }

@@ -55,7 +55,7 @@ pub use crate::posterior::Support;
 use self::layers::Layers;
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, VertexId};
-use crate::posterior::{LocalSums, OctreePosterior, Reading, VertexSums, deviations};
+use crate::posterior::{LocalSums, OctreePosterior, Reading, Sums, VertexSums, deviations};
 use crate::rays::RaySet;
 
 /// A vertex counts as moved if log10 U lies more than this many decades below the prior's.
@@ -120,15 +120,19 @@ impl UncertaintyField {
 
     /// The field on an octree that was made of the sums. σ is read straight from the posterior unless the sums are kept
     /// or needed, which saves a copy.
-    pub(crate) fn on_octree(
+    ///
+    /// # Panics
+    /// If they are, and not all of them are there.
+    pub(crate) fn on_octree<S: Sums>(
         record: RunRecord,
         lattice: Lattice,
-        posterior: OctreePosterior,
+        posterior: OctreePosterior<S>,
         octree: Octree,
         keep_sums: bool,
     ) -> Self {
         let (limits, tile) = (posterior.limits().clone(), posterior.tile());
         let mut field = if keep_sums || record.is_part() || record.pooling.is_on() || tile.is_some() {
+            assert!(S::IS_WHOLE, "sums are kept, or needed: all of them");
             let sums = posterior.sums_at(&octree);
             drop(posterior);
             Self::on_leaves(record, lattice, Support::Octree(octree), limits, sums)

@@ -13,11 +13,11 @@ use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::pilot_counts::{Counts, PilotCounts};
-use super::sparse::{BLOCK_BYTES, BRICK_BYTES};
+use super::sparse::{BLOCK_BYTES, BRICK_BYTES, spare_bytes};
 use crate::geometry::Lattice;
 use crate::io::mix;
 use crate::octree::{Leaves, MaxLevels, Tile, Wanted, morton};
-use crate::posterior::VertexSums;
+use crate::posterior::Entries;
 use crate::render::RaySamples;
 
 /// Split cells are counted for one ray in this many, because they take longer than bricks.
@@ -136,14 +136,26 @@ struct Touched {
 /// What a run will touch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Needs {
-    /// Bytes of sums, and of the bricks that find them, without what is spare.
-    pub summing: f64,
-    /// Of these, the bytes of sums.
+    /// Number of vertices that will have sums.
     pub sums: f64,
-    /// Of these, the bytes of bricks.
+    /// Number of bricks that find them.
     pub bricks: f64,
     /// Number of vertices of the finished octree.
     pub vertices: f64,
+}
+
+impl Needs {
+    /// Bytes of the sums, and of what finds them, without what is spare.
+    #[must_use]
+    pub fn summing(&self, entries: Entries) -> f64 {
+        entries.vertex_bytes() as f64 * self.sums + (BLOCK_BYTES + BRICK_BYTES) * self.bricks
+    }
+
+    /// Expected room beside them that is taken and not used, bytes, if there are `times` as many.
+    #[must_use]
+    pub fn spare(&self, times: f64) -> f64 {
+        spare_bytes(times * self.sums, times * self.bricks)
+    }
 }
 
 /// What the rays of a pilot touched.
@@ -272,9 +284,6 @@ impl SpeciesEstimate {
         let bricks = bricks.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code << 3)));
         let touched = (0..).zip(&self.vertices);
         let touched = touched.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code)));
-        let sums = size_of::<VertexSums>() as f64 * touched.sum::<f64>();
-        let bricks = bricks.sum::<f64>();
-        let (blocks, bricks) = (BLOCK_BYTES * bricks, BRICK_BYTES * bricks);
         let is_split = |level: u8, code: u64| {
             let is_on_limit = level < region || level < limits.level(code >> (3 * (level - region)));
             is_on_limit && is_owned(morton::decode(code << (3 * (finest - level))))
@@ -285,7 +294,7 @@ impl SpeciesEstimate {
             sample.expected(scale * OF_CELLS as f64, |code| is_split(level, code)).min(most)
         });
         let leaves = 1.0 + 7.0 * split.sum::<f64>();
-        Needs { summing: sums + bricks + blocks, sums, bricks, vertices: VERTICES_PER_LEAF * leaves }
+        Needs { sums: touched.sum(), bricks: bricks.sum(), vertices: VERTICES_PER_LEAF * leaves }
     }
 
     /// The vertices of the sample on the leaves of `limits`, by coarseness: lattice points with their numbers of rays,

@@ -6,7 +6,6 @@
 //! finest lattice that level is.
 
 use crate::octree::morton;
-use crate::posterior::Information;
 
 /// Partitions: enough to keep many cores busy, few enough that their lists stay long.
 const PARTITION_BITS: u32 = 6;
@@ -113,24 +112,24 @@ impl BlockCode {
     }
 }
 
-/// The contribution of one ray to one vertex.
+/// The contribution of one ray to one vertex: `square` has entries of JᵀJ.
 #[derive(Debug, Clone, Copy)]
-pub struct Contribution {
+pub struct Contribution<T> {
     pub key: VertexKey,
-    pub information: Information,
+    pub square: T,
 }
 
 /// The contributions of a batch of rays, by partition, each in ray order.
 #[derive(Debug)]
-pub struct Contributions(Vec<Vec<Contribution>>);
+pub struct Contributions<T>(Vec<Vec<Contribution<T>>>);
 
-impl Default for Contributions {
+impl<T> Default for Contributions<T> {
     fn default() -> Self {
         Self((0..PARTITIONS).map(|_| Vec::new()).collect())
     }
 }
 
-impl Contributions {
+impl<T> Contributions<T> {
     /// Empties the lists; their room stays.
     pub fn clear(&mut self) {
         self.0.iter_mut().for_each(Vec::clear);
@@ -138,8 +137,8 @@ impl Contributions {
 
     /// Appends a contribution of the current ray or the next one.
     #[inline(always)]
-    pub fn push(&mut self, key: VertexKey, information: Information) {
-        self.0[key.partition()].push(Contribution { key, information });
+    pub fn push(&mut self, key: VertexKey, square: T) {
+        self.0[key.partition()].push(Contribution { key, square });
     }
 
     /// Keeps the contributions to some vertices.
@@ -148,12 +147,12 @@ impl Contributions {
     }
 
     /// All of them, partition by partition.
-    pub fn iter(&self) -> impl Iterator<Item = &Contribution> {
+    pub fn iter(&self) -> impl Iterator<Item = &Contribution<T>> {
         self.0.iter().flatten()
     }
 
     /// The list of one partition.
-    pub fn partition(&self, s: usize) -> &[Contribution] {
+    pub fn partition(&self, s: usize) -> &[Contribution<T>] {
         &self.0[s]
     }
 }

@@ -25,7 +25,7 @@ mod sparse;
 mod squares;
 mod walk;
 
-pub use census::{Needs, SpeciesEstimate};
+pub use census::SpeciesEstimate;
 pub use pilot_counts::PilotCounts;
 pub(super) use refine::TOGETHER;
 pub use refine::{Criteria, Criterion, Refinement};
@@ -38,26 +38,33 @@ use scattered::Scattered;
 use sparse::SparseSums;
 use walk::LeafWalk;
 
-use super::{Posterior, VertexSums};
+use super::sums::DiagonalSums;
+use super::{Entries, Posterior, Sums, VertexSums};
 use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, Octree, Tile, coarseness};
 use crate::render::RaySamples;
 
-pub(crate) use sparse::spare_bytes;
-/// Bytes of one ray's contribution to one vertex, before it is summed.
-pub(crate) const CONTRIBUTION_BYTES: usize = size_of::<key::Contribution>();
-
 /// Lists of contributions that each thread has at once.
-pub(crate) const AT_ONCE: usize = 2;
+const AT_ONCE: usize = 2;
 
-/// Information summed at sparse vertices.
+/// Bytes of the contributions that are under way at once, if `longest` come from a batch of rays at most.
+#[must_use]
+pub fn list_bytes(entries: Entries, longest: usize) -> usize {
+    let contribution = match entries {
+        Entries::All => size_of::<key::Contribution<<VertexSums as Sums>::Square>>(),
+        Entries::Diagonal => size_of::<key::Contribution<<DiagonalSums as Sums>::Square>>(),
+    };
+    AT_ONCE * rayon::current_num_threads() * longest * contribution
+}
+
+/// Information summed at sparse vertices: all of it, or what `S` has of it.
 #[derive(Debug, Clone)]
-pub struct OctreePosterior {
+pub struct OctreePosterior<S: Sums = VertexSums> {
     lattice: Lattice,
     limits: MaxLevels,
     /// The part of space whose vertices have sums; `None` for all of it.
     tile: Option<Tile>,
-    sums: SparseSums,
+    sums: SparseSums<S>,
 }
 
 impl OctreePosterior {
@@ -73,10 +80,11 @@ impl OctreePosterior {
     /// If the limits belong to another level.
     #[must_use]
     pub fn limited(lattice: Lattice, limits: MaxLevels) -> Self {
-        assert_eq!(limits.finest(), lattice.level(), "limits belong to the lattice's level");
-        Self { lattice, limits, tile: None, sums: SparseSums::new() }
+        Self::empty(lattice, &limits, None)
     }
+}
 
+impl<S: Sums> OctreePosterior<S> {
     /// The same posterior, which from now on sums at the vertices of a tile only. These get what they would get without
     /// a tile, bit for bit.
     #[must_use]
@@ -97,20 +105,20 @@ impl OctreePosterior {
     }
 
     /// Adds sums at a lattice point, as part of joining another run.
-    pub fn add_sums_at(&mut self, point: [u32; 3], sums: &VertexSums) {
+    pub fn add_sums_at(&mut self, point: [u32; 3], sums: &S) {
         self.sums.add_one(VertexKey::new(point, self.coarseness(point)), sums);
     }
 
     /// The sums so far at a lattice point.
     #[must_use]
-    pub fn sums(&self, point: [u32; 3]) -> VertexSums {
+    pub fn sums(&self, point: [u32; 3]) -> S {
         self.sums.get(VertexKey::new(point, self.coarseness(point))).copied().unwrap_or_default()
     }
 
     /// Every vertex that a ray touched, with its lattice point.
     #[must_use = "iterators are lazy"]
-    pub fn touched(&self) -> impl ParallelIterator<Item = ([u32; 3], &VertexSums)> {
-        self.sums.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (key.point(), e))
+    pub fn touched(&self) -> impl ParallelIterator<Item = ([u32; 3], &S)> {
+        self.sums.par_iter().filter(|(_, e)| e.rays() > 0).map(|(key, e)| (key.point(), e))
     }
 
     /// Number of levels between the finest level and the finest leaf that has `point` as a corner.
@@ -125,18 +133,18 @@ impl OctreePosterior {
 
     /// Calls `visit` for every ray of a batch, in order, with what it adds at each vertex that it touches: lattice
     /// point and sums. The sums so far do not count, and do not change.
-    pub fn each_ray(&self, batch: &RaySamples, mut visit: impl FnMut(u64, &[([u32; 3], VertexSums)])) {
+    pub fn each_ray(&self, batch: &RaySamples, mut visit: impl FnMut(u64, &[([u32; 3], S)])) {
         let (mut all, mut touched) = (Contributions::default(), Vec::new());
         for (ray, samples) in batch.iter() {
             self.square(batch, std::iter::once(samples), &mut all);
             touched.clear();
-            touched.extend(all.iter().map(|added| (added.key.point(), VertexSums::new(added.information, 1))));
+            touched.extend(all.iter().map(|added| (added.key.point(), S::of_ray(added.square))));
             visit(ray, &touched);
         }
     }
 
     /// Squares every ray of a batch.
-    fn contributions(&self, batch: &RaySamples) -> Contributions {
+    fn contributions(&self, batch: &RaySamples) -> Contributions<S::Square> {
         // How much room they need depends on how many samples share their vertices: they grow.
         let mut all = Contributions::default();
         self.square(batch, batch.iter().map(|(_, samples)| samples), &mut all);
@@ -144,18 +152,18 @@ impl OctreePosterior {
     }
 
     /// Squares some rays of a batch, each given by its samples, into lists whose content is replaced.
-    fn square(&self, batch: &RaySamples, rays: impl Iterator<Item = Range<usize>>, all: &mut Contributions) {
+    fn square(&self, batch: &RaySamples, rays: impl Iterator<Item = Range<usize>>, all: &mut Contributions<S::Square>) {
         let finest = self.limits.is_unlimited();
         let (mut places, mut walk) = (Vec::new(), LeafWalk::new(&self.lattice, &self.limits));
         let mut scattered = Scattered::new(&self.lattice);
         all.clear();
         for samples in rays {
             if finest && squares::locate(&self.lattice, batch, samples.clone(), &mut places) {
-                squares::along(&places, batch, all);
+                squares::along::<S>(&places, batch, all);
             } else if finest {
-                scattered.ray(batch, samples, all);
+                scattered.ray::<S>(batch, samples, all);
             } else {
-                walk.ray(batch, samples, all);
+                walk.ray::<S>(batch, samples, all);
             }
         }
         if let Some(tile) = self.tile {
@@ -165,19 +173,21 @@ impl OctreePosterior {
     }
 }
 
-impl AddAssign<&Self> for OctreePosterior {
+impl<S: Sums> AddAssign<&Self> for OctreePosterior<S> {
     /// Adds the sums over other rays on the same leaves, vertex by vertex.
     fn add_assign(&mut self, other: &Self) {
         self.sums += &other.sums;
     }
 }
 
-impl Posterior for OctreePosterior {
-    const IS_DENSE: bool = false;
+impl<S: Sums> Posterior for OctreePosterior<S> {
+    const NAME: [&'static str; 2] = ["octree", S::NAME];
+    type Sums = S;
     type Vertices = Octree;
 
     fn empty(lattice: Lattice, limits: &MaxLevels, tile: Option<Tile>) -> Self {
-        Self::limited(lattice, limits.clone()).owning(tile)
+        assert_eq!(limits.finest(), lattice.level(), "limits belong to the lattice's level");
+        Self { lattice, limits: limits.clone(), tile, sums: SparseSums::new() }
     }
 
     fn add(&mut self, batches: &[RaySamples]) {
@@ -210,32 +220,26 @@ impl Posterior for OctreePosterior {
     }
 
     fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {
-        let both = self.touched().map(|(point, sums)| (*sums, other.sums(point)));
-        let new = other.touched().filter(|(point, _)| self.sums(*point).rays == 0);
-        both.chain(new.map(|(_, sums)| (VertexSums::default(), *sums))).collect()
+        let both = self.touched().map(|(point, sums)| (sums.widened(), other.sums(point).widened()));
+        let new = other.touched().filter(|(point, _)| self.sums(*point).rays() == 0);
+        both.chain(new.map(|(_, sums)| (VertexSums::default(), sums.widened()))).collect()
     }
 
     fn keys(&self) -> Vec<u64> {
         self.sums.keys().map(VertexKey::bits).collect()
     }
 
-    fn slices(&self) -> impl Iterator<Item = &[VertexSums]> {
+    fn slices(&self) -> impl Iterator<Item = &[S]> {
         self.sums.slices()
     }
 
     /// `None` if a key lies outside the lattice, is not that of a vertex on the leaves of `limits`, or occurs twice.
-    fn restore(
-        lattice: Lattice,
-        limits: &MaxLevels,
-        tile: Option<Tile>,
-        keys: &[u64],
-        sums: Vec<VertexSums>,
-    ) -> Option<Self> {
+    fn restore(lattice: Lattice, limits: &MaxLevels, tile: Option<Tile>, keys: &[u64], sums: Vec<S>) -> Option<Self> {
         if keys.len() != sums.len() {
             return None;
         }
         let sums = SparseSums::restore(lattice.cells_per_axis(), keys, sums)?;
-        let restored = Self { sums, ..Self::limited(lattice, limits.clone()).owning(tile) };
+        let restored = Self { sums, ..Self::empty(lattice, limits, tile) };
         let is_found = |&key: &u64| {
             let key = VertexKey::from_bits(key);
             u64::from(restored.coarseness(key.point())) == key.coarseness()

@@ -6,9 +6,9 @@ use std::ops::Range;
 use bytemuck::{Pod, cast_slice, from_bytes, from_bytes_mut};
 use memmap2::MmapMut;
 
-/// Items of the first mapping, whose pages are small: of sums 3.5 MiB. Half a page is spare in each partition.
+/// Items of the first mapping, whose pages are small: of sums 2 or 3.5 MiB. Half a page is spare in each partition.
 const FIRST: usize = 1 << 16;
-/// Items of every further mapping: of sums seven large pages.
+/// Items of every further mapping: of sums four or seven large pages.
 const FURTHER: usize = 1 << 18;
 /// Bytes of a small and of a large page.
 const SMALL: usize = 4 << 10;
@@ -34,11 +34,6 @@ impl<T> Default for PagedList<T> {
 }
 
 impl<T: Pod> PagedList<T> {
-    /// Expected bytes that are unused at the end of a list with `bytes` bytes of items: half a page.
-    pub fn expected_spare(bytes: usize) -> usize {
-        if bytes > FIRST * size_of::<T>() { LARGE / 2 } else { SMALL / 2 }
-    }
-
     pub fn len(&self) -> usize {
         self.len
     }
@@ -106,6 +101,11 @@ impl<T: Pod> Clone for PagedList<T> {
     }
 }
 
+/// Expected bytes that are unused at the end of a list of `len` items: half a page.
+pub fn expected_spare(len: usize) -> usize {
+    if len > FIRST { LARGE / 2 } else { SMALL / 2 }
+}
+
 /// The mapping in which a slot lies, and its place there.
 #[inline]
 fn place(slot: usize) -> (usize, usize) {
@@ -142,11 +142,12 @@ fn mapped<T>(n: usize) -> MmapMut {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::posterior::VertexSums;
+    use crate::posterior::{DiagonalSums, Sums, VertexSums};
 
     #[test]
     fn items_stay_where_they_are_from_one_mapping_to_the_next() {
         stays(|i| VertexSums::new([i as f64; 6], i as u32));
+        stays(|i| DiagonalSums::of_ray([i as f64; 3]));
         stays(|i| [i as u32; 8]);
     }
 
@@ -177,7 +178,7 @@ mod tests {
                     list.push(VertexSums::default());
                 }
                 spare += list.spare();
-                expected += PagedList::<VertexSums>::expected_spare(list.len() * size_of::<VertexSums>());
+                expected += expected_spare(list.len());
             }
             assert!((spare as f64 / expected as f64 - 1.0).abs() < 0.15, "{spare}, {expected} expected");
         }

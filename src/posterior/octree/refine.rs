@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::OctreePosterior;
 use super::key::{BlockCode, VertexKey};
 use crate::octree::{Cell, Leaves, MaskSet, Octree, Wanted, cells_around};
-use crate::posterior::{Reading, VertexSums, trace};
+use crate::posterior::{Reading, Sums, VertexSums};
 
 /// Vertices whose sums are gathered together.
 pub const TOGETHER: usize = 64;
@@ -81,8 +81,8 @@ impl fmt::Display for Criteria {
 }
 
 /// Whether a ray touched the vertex and its information exceeds `floor`.
-fn moves(sums: &VertexSums, floor: f64) -> bool {
-    sums.rays > 0 && trace(&sums.information) > floor
+fn moves(sums: &impl Sums, floor: f64) -> bool {
+    sums.rays() > 0 && sums.trace() > floor
 }
 
 /// Says where an octree is refined.
@@ -108,7 +108,7 @@ impl Refinement {
     }
 }
 
-impl OctreePosterior {
+impl<S: Sums> OctreePosterior<S> {
     /// Builds the octree.
     ///
     /// Around every vertex selected by `refinement`, its leaves are as fine as those of the sums. A floor of 0
@@ -135,7 +135,7 @@ impl OctreePosterior {
         Octree::from_wanted(wanted)
     }
 
-    /// The sums at the vertices of an octree, in the order of their ids.
+    /// The sums at the vertices of an octree, in the order of their ids, with zeros for what is not summed.
     #[must_use]
     pub fn sums_at(&self, octree: &Octree) -> Vec<VertexSums> {
         let mut all = vec![VertexSums::default(); octree.vertex_count()];
@@ -156,7 +156,7 @@ impl OctreePosterior {
                 // All of them are found before the sums of any are read, so that their cache misses overlap.
                 let found: Vec<_> =
                     points.iter().map(|&point| reader.find(VertexKey::new(point, self.coarseness(point)))).collect();
-                let sums = found.into_iter().map(|sums| sums.copied().unwrap_or_default());
+                let sums = found.into_iter().map(|sums| sums.map(S::widened).unwrap_or_default());
                 points.into_iter().zip(sums).collect()
             },
         )

@@ -12,6 +12,7 @@ use super::key::{Contributions, VertexKey};
 use super::squares::{SampleJacobian, VertexJacobian};
 use crate::geometry::Lattice;
 use crate::octree::{corners, morton, trilinear};
+use crate::posterior::Sums;
 use crate::render::RaySamples;
 
 /// A vertex that rays of the batch touched.
@@ -42,8 +43,8 @@ impl<'a> Scattered<'a> {
     }
 
     /// Appends a ray's contribution to every vertex that it touches, in the order of first contact.
-    pub fn ray(&mut self, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions) {
-        add_ray(self, batch, samples, out);
+    pub fn ray<S: Sums>(&mut self, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions<S::Square>) {
+        add_ray::<S>(self, batch, samples, out);
     }
 
     /// Indices of a cell's corners, which are added if they are new to the batch.
@@ -62,7 +63,12 @@ impl<'a> Scattered<'a> {
 }
 
 #[multiversion(targets("x86_64+avx2+fma"))]
-fn add_ray(all: &mut Scattered, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions) {
+fn add_ray<S: Sums>(
+    all: &mut Scattered,
+    batch: &RaySamples,
+    samples: Range<usize>,
+    out: &mut Contributions<S::Square>,
+) {
     let mut last: Option<([u32; 3], [u32; 8])> = None;
     for i in samples {
         let Some(u) = all.lattice.coordinates(batch.positions[i]) else { continue };
@@ -84,7 +90,7 @@ fn add_ray(all: &mut Scattered, batch: &RaySamples, samples: Range<usize>, out: 
     }
     for v in all.touched.drain(..) {
         let vertex = &mut all.vertices[v as usize];
-        out.push(vertex.key, vertex.jacobian.squared());
+        out.push(vertex.key, vertex.jacobian.squared::<S>());
         (vertex.jacobian, vertex.is_touched) = (VertexJacobian::default(), false);
     }
 }

@@ -15,8 +15,8 @@ use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::key::{BlockCode, Contribution, Contributions, PARTITIONS, VertexKey};
-use super::pages::PagedList;
-use crate::posterior::VertexSums;
+use super::pages::{PagedList, expected_spare};
+use crate::posterior::Sums;
 
 /// Where the eight parts of something are in a list of its partition: a block's bricks, or the sums of a brick's
 /// vertices.
@@ -50,28 +50,33 @@ pub const BRICK_BYTES: f64 = size_of::<Slots>() as f64;
 /// Expected bytes of its part of the table of blocks, which have two to four bricks.
 pub const BLOCK_BYTES: f64 = 20.0;
 
-/// Expected bytes that are not used yet beside so many bytes of sums and of bricks.
+/// Expected bytes that are not used yet beside those of so many sums and bricks.
 pub fn spare_bytes(sums: f64, bricks: f64) -> f64 {
-    let [sums, bricks] = [sums, bricks].map(|bytes| (bytes / PARTITIONS as f64) as usize);
-    let of_partition = PagedList::<VertexSums>::expected_spare(sums) + PagedList::<Slots>::expected_spare(bricks);
-    (PARTITIONS * of_partition) as f64
+    let of_partition = [sums, bricks].map(|count| expected_spare((count / PARTITIONS as f64) as usize));
+    (PARTITIONS * of_partition.iter().sum::<usize>()) as f64
 }
 
 /// Number of contributions whose slots are looked up before the first of them is added.
 const AHEAD: usize = 32;
 
 /// The blocks that hash to one partition.
-#[derive(Debug, Clone, Default)]
-struct Partition {
+#[derive(Debug, Clone)]
+struct Partition<S: Sums> {
     blocks: FxHashMap<BlockCode, Slots>,
     bricks: PagedList<Slots>,
     /// In the order in which rays first touched their vertices.
-    sums: PagedList<VertexSums>,
+    sums: PagedList<S>,
 }
 
-impl Partition {
+impl<S: Sums> Default for Partition<S> {
+    fn default() -> Self {
+        Self { blocks: FxHashMap::default(), bricks: PagedList::default(), sums: PagedList::default() }
+    }
+}
+
+impl<S: Sums> Partition<S> {
     /// Adds contributions in order. Neighbours in the list are usually neighbours in space.
-    fn add(&mut self, contributions: &[Contribution]) {
+    fn add(&mut self, contributions: &[Contribution<S::Square>]) {
         let mut slots = [0; AHEAD];
         for some in contributions.chunks(AHEAD) {
             let slots = &mut slots[..some.len()];
@@ -85,20 +90,20 @@ impl Partition {
             // Touches all of them first, here and below, so that their cache misses overlap.
             black_box(slots.iter().fold(0, |any, &slot| any | self.bricks.get(slot).0[0]));
             for (c, slot) in some.iter().zip(&mut *slots) {
-                *slot = self.bricks.get_mut(*slot).slot(c.key.in_brick(), || self.sums.push(VertexSums::default()));
+                *slot = self.bricks.get_mut(*slot).slot(c.key.in_brick(), || self.sums.push(S::default()));
             }
-            black_box(slots.iter().fold(0, |any, &slot| any | self.sums.get(slot).rays));
+            black_box(slots.iter().fold(0, |any, &slot| any | self.sums.get(slot).rays()));
             for (c, &slot) in some.iter().zip(&*slots) {
-                *self.sums.get_mut(slot) += &VertexSums::new(c.information, 1);
+                *self.sums.get_mut(slot) += &S::of_ray(c.square);
             }
         }
     }
 
     /// The sums of a vertex, made if they are new.
-    fn vertex(&mut self, key: VertexKey) -> &mut VertexSums {
+    fn vertex(&mut self, key: VertexKey) -> &mut S {
         let block = self.blocks.entry(key.block()).or_insert(Slots::EMPTY);
         let brick = block.slot(key.brick_in_block(), || self.bricks.push(Slots::EMPTY));
-        let slot = self.bricks.get_mut(brick).slot(key.in_brick(), || self.sums.push(VertexSums::default()));
+        let slot = self.bricks.get_mut(brick).slot(key.in_brick(), || self.sums.push(S::default()));
         self.sums.get_mut(slot)
     }
 
@@ -114,7 +119,7 @@ impl Partition {
     }
 
     /// All vertices with their sums, block by block.
-    fn iter(&self) -> impl Iterator<Item = (VertexKey, &VertexSums)> {
+    fn iter(&self) -> impl Iterator<Item = (VertexKey, &S)> {
         self.slots().map(|(key, slot)| (key, self.sums.get(slot)))
     }
 
@@ -135,41 +140,41 @@ impl Partition {
 
 /// The sums at all vertices that rays touched.
 #[derive(Debug, Clone)]
-pub struct SparseSums {
-    partitions: Vec<Partition>,
+pub struct SparseSums<S: Sums> {
+    partitions: Vec<Partition<S>>,
 }
 
-impl SparseSums {
+impl<S: Sums> SparseSums<S> {
     pub fn new() -> Self {
         Self { partitions: vec![Partition::default(); PARTITIONS] }
     }
 
     /// Adds lists of contributions, in order.
-    pub fn add(&mut self, lists: &[Contributions]) {
+    pub fn add(&mut self, lists: &[Contributions<S::Square>]) {
         self.partitions.par_iter_mut().enumerate().for_each(|(s, partition)| {
             lists.iter().for_each(|list| partition.add(list.partition(s)));
         });
     }
 
     /// Adds `sums` to one vertex.
-    pub fn add_one(&mut self, key: VertexKey, sums: &VertexSums) {
+    pub fn add_one(&mut self, key: VertexKey, sums: &S) {
         *self.partitions[key.partition()].vertex(key) += sums;
     }
 
     /// The sums at a vertex, if a ray touched it.
-    pub fn get(&self, key: VertexKey) -> Option<&VertexSums> {
+    pub fn get(&self, key: VertexKey) -> Option<&S> {
         self.reader().find(key)
     }
 
     /// A reader for looking up neighbouring vertices.
-    pub fn reader(&self) -> Reader<'_> {
+    pub fn reader(&self) -> Reader<'_, S> {
         Reader { sums: self, code: None, block: Slots::EMPTY, partition: &self.partitions[0] }
     }
 
     /// For every block, its code and a mask of the vertices whose sums satisfy `condition`; in parallel.
     pub fn par_masks(
         &self,
-        condition: impl Fn(&VertexSums) -> bool + Send + Sync,
+        condition: impl Fn(&S) -> bool + Send + Sync,
     ) -> impl ParallelIterator<Item = (BlockCode, u64)> {
         self.partitions.par_iter().flat_map_iter(move |partition| {
             // The sums in the order of memory, blocks in that of their table.
@@ -182,7 +187,7 @@ impl SparseSums {
     }
 
     /// All vertices with their keys, in parallel.
-    pub fn par_iter(&self) -> impl ParallelIterator<Item = (VertexKey, &VertexSums)> {
+    pub fn par_iter(&self) -> impl ParallelIterator<Item = (VertexKey, &S)> {
         self.partitions.par_iter().flat_map_iter(Partition::iter)
     }
 
@@ -192,14 +197,14 @@ impl SparseSums {
     }
 
     /// The sums, slice by slice.
-    pub fn slices(&self) -> impl Iterator<Item = &[VertexSums]> {
+    pub fn slices(&self) -> impl Iterator<Item = &[S]> {
         self.partitions.iter().flat_map(|partition| partition.sums.slices())
     }
 
     /// Restores what [`SparseSums::keys`] and [`SparseSums::slices`] returned, in the same order.
     ///
     /// `None` if a key occurs twice or lies outside the lattice with `cells` per axis.
-    pub fn restore(cells: u32, keys: &[u64], sums: Vec<VertexSums>) -> Option<Self> {
+    pub fn restore(cells: u32, keys: &[u64], sums: Vec<S>) -> Option<Self> {
         let mut restored = Self::new();
         for (&key, sums) in keys.iter().zip(sums) {
             let key = VertexKey::from_bits(key);
@@ -228,17 +233,17 @@ impl SparseSums {
 }
 
 /// A reader that looks up each block once for consecutive vertices in it.
-pub struct Reader<'a> {
-    sums: &'a SparseSums,
+pub struct Reader<'a, S: Sums> {
+    sums: &'a SparseSums<S>,
     /// Code of the block that was looked up last.
     code: Option<BlockCode>,
     block: Slots,
-    partition: &'a Partition,
+    partition: &'a Partition<S>,
 }
 
-impl<'a> Reader<'a> {
+impl<'a, S: Sums> Reader<'a, S> {
     /// The sums at a vertex, if a ray touched it.
-    pub fn find(&mut self, key: VertexKey) -> Option<&'a VertexSums> {
+    pub fn find(&mut self, key: VertexKey) -> Option<&'a S> {
         if self.code != Some(key.block()) {
             self.partition = &self.sums.partitions[key.partition()];
             self.code = Some(key.block());
@@ -253,7 +258,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-impl AddAssign<&Self> for SparseSums {
+impl<S: Sums> AddAssign<&Self> for SparseSums<S> {
     /// Adds all sums of `other`.
     fn add_assign(&mut self, other: &Self) {
         self.partitions.par_iter_mut().zip(&other.partitions).for_each(|(partition, other)| {
@@ -269,14 +274,20 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
+    use crate::posterior::{DiagonalSums, VertexSums};
 
     #[test]
     fn sums_are_those_of_a_map() {
+        are_those_of_a_map::<VertexSums>(|value| [value; 6]);
+        are_those_of_a_map::<DiagonalSums>(|value| [value; 3]);
+    }
+
+    fn are_those_of_a_map<S: Sums>(square: impl Fn(f64) -> S::Square) {
         // Half a million additions in runs of neighbours, to some 200,000 vertices. Each partition needs many pages.
-        let (mut sparse, mut map) = (SparseSums::new(), BTreeMap::<VertexKey, VertexSums>::new());
+        let (mut sparse, mut map) = (SparseSums::<S>::new(), BTreeMap::<VertexKey, S>::new());
         let mut state = 1_u64;
         for _ in 0..5 {
-            let lists: Vec<Contributions> = (0..4)
+            let lists: Vec<Contributions<_>> = (0..4)
                 .map(|_| {
                     let mut list = Contributions::default();
                     for _ in 0..2500 {
@@ -284,8 +295,8 @@ mod tests {
                         for i in 0..10 {
                             let key = VertexKey::from_bits((state >> 40) % (1 << 18) + 3 * i);
                             let value = (state >> 11) as f64 / (1_u64 << 53) as f64 + i as f64;
-                            *map.entry(key).or_default() += &VertexSums::new([value; 6], 1);
-                            list.push(key, [value; 6]);
+                            *map.entry(key).or_default() += &S::of_ray(square(value));
+                            list.push(key, square(value));
                         }
                     }
                     list
@@ -294,7 +305,7 @@ mod tests {
             sparse.add(&lists);
         }
         assert!(sparse.slices().count() == PARTITIONS && sparse.slices().all(|sums| size_of_val(sums) > 16 << 12));
-        let found: BTreeMap<VertexKey, VertexSums> = sparse.par_iter().map(|(key, e)| (key, *e)).collect();
+        let found: BTreeMap<VertexKey, S> = sparse.par_iter().map(|(key, e)| (key, *e)).collect();
         assert_eq!(found, map);
         let mut reader = sparse.reader();
         for key in (0..1 << 18).map(VertexKey::from_bits) {

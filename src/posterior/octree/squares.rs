@@ -13,7 +13,7 @@ use multiversion::multiversion;
 use super::key::{Contributions, VertexKey};
 use crate::geometry::Lattice;
 use crate::octree::morton;
-use crate::posterior::Information;
+use crate::posterior::Sums;
 use crate::render::RaySamples;
 
 /// Derivatives of a sample: ∂C_c/∂x_k at 3·c + k.
@@ -40,22 +40,9 @@ impl VertexJacobian {
 
     /// The contribution of this ray to the vertex: JᵀJ.
     #[inline(always)]
-    pub fn squared(&self) -> Information {
-        gram(&self.0)
+    pub fn squared<S: Sums>(&self) -> S::Square {
+        S::square(&self.0)
     }
-}
-
-/// JᵀJ of a 3×3 Jacobian given row by row: xx, xy, xz, yy, yz, zz.
-#[inline(always)]
-pub fn gram(j: &[f64]) -> Information {
-    [dot(j, 0, 0), dot(j, 0, 1), dot(j, 0, 2), dot(j, 1, 1), dot(j, 1, 2), dot(j, 2, 2)]
-}
-
-/// Dot product of two columns. A function rather than a closure, because only a function can be marked for
-/// inlining, which compiles it for AVX here.
-#[inline(always)]
-fn dot(j: &[f64], a: usize, b: usize) -> f64 {
-    j[a] * j[b] + j[3 + a] * j[3 + b] + j[6 + a] * j[6 + b]
 }
 
 /// The location of a sample.
@@ -124,19 +111,19 @@ impl Corners {
 
     /// Moves to another cell and finishes the corners that it does not have.
     #[inline(always)]
-    fn move_to(&mut self, cell: [u32; 3], out: &mut Contributions) {
+    fn move_to<S: Sums>(&mut self, cell: [u32; 3], out: &mut Contributions<S::Square>) {
         let mut stays = [[true; 2]; 3];
         for axis in 0..3 {
             let (from, to) = (Self::coordinates(self.cell[axis]), Self::coordinates(cell[axis]));
             stays[axis] = [from[0] == to[0], from[1] == to[1]];
         }
-        self.finish(out, |s| !(stays[0][s & 1] && stays[1][s >> 1 & 1] && stays[2][s >> 2]));
+        self.finish::<S>(out, |s| !(stays[0][s & 1] && stays[1][s >> 1 & 1] && stays[2][s >> 2]));
         self.cell = cell;
     }
 
     /// Squares and empties the corners that are done.
     #[inline(always)]
-    fn finish(&mut self, out: &mut Contributions, done: impl Fn(usize) -> bool) {
+    fn finish<S: Sums>(&mut self, out: &mut Contributions<S::Square>, done: impl Fn(usize) -> bool) {
         // The Morton code of a point combines those of its coordinates.
         let mut codes = [[0; 2]; 3];
         for axis in 0..3 {
@@ -149,7 +136,7 @@ impl Corners {
         for (s, sum) in self.sums.iter_mut().enumerate() {
             if done(s) {
                 let code = codes[0][s & 1] | codes[1][s >> 1 & 1] | codes[2][s >> 2];
-                out.push(VertexKey::finest(code), sum.squared());
+                out.push(VertexKey::finest(code), sum.squared::<S>());
                 *sum = VertexJacobian::default();
             }
         }
@@ -159,14 +146,14 @@ impl Corners {
 /// Appends the contribution of a ray that never turns back to every vertex that it touches, in the
 /// order in which vertices are done.
 #[multiversion(targets("x86_64+avx2+fma"))]
-pub fn along(places: &[LocatedSample], batch: &RaySamples, out: &mut Contributions) {
+pub fn along<S: Sums>(places: &[LocatedSample], batch: &RaySamples, out: &mut Contributions<S::Square>) {
     let Some(first) = places.first() else { return };
     let mut corners = Corners { cell: first.cell, sums: [VertexJacobian::default(); 8] };
     for place in places {
         if place.cell != corners.cell {
-            corners.move_to(place.cell, out);
+            corners.move_to::<S>(place.cell, out);
         }
         corners.add(place.offset, &SampleJacobian::new(batch, place.sample as usize));
     }
-    corners.finish(out, |_| true);
+    corners.finish::<S>(out, |_| true);
 }

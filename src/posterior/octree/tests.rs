@@ -9,7 +9,7 @@ use crate::geometry::Aabb;
 use crate::octree::{
     Cell, Corner, Leaves, Octree, VertexId, Wanted, around, cells_around, coarseness, masters, morton, trilinear,
 };
-use crate::posterior::{Covariance, DensePosterior, negligible_information, trace};
+use crate::posterior::{Covariance, DensePosterior, DiagonalSums, Information, negligible_information, trace};
 use crate::render::RaySample;
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
@@ -43,7 +43,7 @@ fn lattice(level: u8) -> Lattice {
 }
 
 /// The octree, and the sums at its vertices in the order of their ids.
-fn with_sums(posterior: &OctreePosterior, refinement: &Refinement) -> (Octree, Vec<VertexSums>) {
+fn with_sums<S: Sums>(posterior: &OctreePosterior<S>, refinement: &Refinement) -> (Octree, Vec<VertexSums>) {
     let octree = posterior.octree(refinement);
     let sums = posterior.sums_at(&octree);
     (octree, sums)
@@ -210,7 +210,7 @@ proptest! {
                     let weight = hat(&octree, id, u);
                     j.iter_mut().zip(samples.jacobians[i]).for_each(|(j, g)| *j += weight * f64::from(g));
                 }
-                expected.iter_mut().zip(squares::gram(&j)).for_each(|(s, v)| *s += v);
+                expected.iter_mut().zip(VertexSums::square(&j)).for_each(|(s, v)| *s += v);
             }
             let scale = trace(&found.information).max(trace(&expected));
             for k in 0..6 {
@@ -255,6 +255,63 @@ proptest! {
     }
 }
 
+/// Sums of both parts of some rays, in a tile or everywhere: the first are what a checkpoint of them restores.
+fn sums_of_parts<S: Sums>(parts: &[RaySamples; 2], limits: &MaxLevels, tile: Option<Tile>) -> [OctreePosterior<S>; 2] {
+    let [first, second] = parts.each_ref().map(|part| {
+        let mut posterior = OctreePosterior::<S>::empty(lattice(limits.finest()), limits, tile);
+        posterior.add(std::slice::from_ref(part));
+        posterior
+    });
+    let saved = first.slices().flatten().copied().collect();
+    let restored = OctreePosterior::restore(first.lattice, limits, tile, &first.keys(), saved);
+    [restored.unwrap(), second]
+}
+
+/// The bits of what both kinds of sums have.
+fn bits(sums: &VertexSums) -> ([u64; 3], u32) {
+    ([0, 3, 5].map(|k| sums.information[k].to_bits()), sums.rays)
+}
+
+proptest! {
+    #[test]
+    fn a_diagonal_alone_has_the_bits_of_all_sums(
+        samples in ray_samples(),
+        wanted in prop_oneof![Just(Vec::new()), proptest::collection::vec((0_u64..8, 1_u8..=5), 1..5)],
+        is_tile: bool,
+        cut in 0_usize..20,
+    ) {
+        let limits = if wanted.is_empty() { MaxLevels::none(5) } else { MaxLevels::balanced(5, wanted) };
+        let tile = Tile::new(1, 2).filter(|_| is_tile);
+        let mut parts = [RaySamples::default(), RaySamples::default()];
+        for (n, (ray, range)) in samples.iter().enumerate() {
+            range.for_each(|i| parts[usize::from(n >= cut)].push(ray, samples.sample(i)));
+        }
+        let mut whole = sums_of_parts::<VertexSums>(&parts, &limits, tile);
+        let mut diagonal = sums_of_parts::<DiagonalSums>(&parts, &limits, tile);
+
+        let sorted = |pairs: Vec<(VertexSums, VertexSums)>| {
+            let mut pairs: Vec<_> = pairs.iter().map(|(a, b)| (bits(a), bits(b))).collect();
+            pairs.sort_unstable();
+            pairs
+        };
+        prop_assert_eq!(sorted(whole[0].paired(&whole[1])), sorted(diagonal[0].paired(&diagonal[1])));
+
+        let ([whole, more], [diagonal, more_of_diagonal]) = (&mut whole, &mut diagonal);
+        *whole += more;
+        *diagonal += more_of_diagonal;
+        for floor in [Refinement::EVERYTHING, 1e-6] {
+            let (octree, sums) = with_sums(whole, &refinement(floor));
+            let (same, diagonals) = with_sums(diagonal, &refinement(floor));
+            prop_assert_eq!(octree.cells(), same.cells());
+            prop_assert!(sums.iter().map(bits).eq(diagonals.iter().map(bits)));
+            for covariance in [Covariance::Diagonal, Covariance::Trace] {
+                let deviation = |sums: &VertexSums| covariance.deviation(sums, 500, 1e-6).to_bits();
+                prop_assert!(sums.iter().map(deviation).eq(diagonals.iter().map(deviation)));
+            }
+        }
+    }
+}
+
 /// (vertex, sample index, weight). A stable sort groups the samples of a vertex in ray order.
 type Touch = (VertexKey, usize, f64);
 
@@ -284,17 +341,17 @@ impl OctreePosterior {
         let square = |group: &[Touch]| {
             let mut partial = VertexJacobian::default();
             group.iter().for_each(|&(_, sample, weight)| partial.add(weight, &SampleJacobian::new(batch, sample)));
-            (group[0].0, vec![VertexSums::new(partial.squared(), 1)])
+            (group[0].0, vec![VertexSums::of_ray(partial.squared::<VertexSums>())])
         };
         touched.chunk_by(|a, b| a.0 == b.0).map(square).collect()
     }
 }
 
 /// The contributions of one ray by vertex.
-fn by_vertex(contributions: &Contributions) -> BTreeMap<VertexKey, Vec<VertexSums>> {
+fn by_vertex(contributions: &Contributions<Information>) -> BTreeMap<VertexKey, Vec<VertexSums>> {
     let mut found: BTreeMap<VertexKey, Vec<VertexSums>> = BTreeMap::new();
     let all = (0..key::PARTITIONS).flat_map(|s| contributions.partition(s));
-    all.for_each(|c| found.entry(c.key).or_default().push(VertexSums::new(c.information, 1)));
+    all.for_each(|c| found.entry(c.key).or_default().push(VertexSums::of_ray(c.square)));
     found
 }
 
@@ -320,7 +377,7 @@ proptest! {
         let (mut places, mut walked) = (Vec::new(), Contributions::default());
         // Rounded positions on a straight line do not turn back, because f32 products and sums are monotone.
         prop_assert!(squares::locate(&posterior.lattice, &batch, range, &mut places));
-        squares::along(&places, &batch, &mut walked);
+        squares::along::<VertexSums>(&places, &batch, &mut walked);
         prop_assert_eq!(by_vertex(&walked), sorted);
     }
 
@@ -344,7 +401,7 @@ proptest! {
         let mut walk = LeafWalk::new(&posterior.lattice, &posterior.limits);
         for (_, range) in samples.iter() {
             let mut walked = Contributions::default();
-            walk.ray(&samples, range.clone(), &mut walked);
+            walk.ray::<VertexSums>(&samples, range.clone(), &mut walked);
             prop_assert_eq!(by_vertex(&walked), posterior.gather(&samples, range));
         }
     }
@@ -356,7 +413,7 @@ proptest! {
         let mut scattered = Scattered::new(&posterior.lattice);
         for (_, range) in samples.iter() {
             let mut found = Contributions::default();
-            scattered.ray(&samples, range.clone(), &mut found);
+            scattered.ray::<VertexSums>(&samples, range.clone(), &mut found);
             prop_assert_eq!(by_vertex(&found), posterior.gather(&samples, range));
         }
     }

@@ -14,6 +14,7 @@ use super::key::{Contributions, VertexKey};
 use super::squares::{SampleJacobian, VertexJacobian};
 use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, Nearby, coarseness, masters, trilinear};
+use crate::posterior::Sums;
 use crate::render::RaySamples;
 
 /// The contribution of a leaf's corner to a vertex.
@@ -118,8 +119,8 @@ impl<'a> LeafWalk<'a> {
     }
 
     /// Appends a ray's contribution to every vertex that it touches, in the order of first contact.
-    pub fn ray(&mut self, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions) {
-        walk(self, batch, samples, out);
+    pub fn ray<S: Sums>(&mut self, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions<S::Square>) {
+        walk::<S>(self, batch, samples, out);
     }
 
     /// Moves to the leaf around a finest cell.
@@ -134,7 +135,7 @@ impl<'a> LeafWalk<'a> {
 }
 
 #[multiversion(targets("x86_64+avx2+fma"))]
-fn walk(walk: &mut LeafWalk, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions) {
+fn walk<S: Sums>(walk: &mut LeafWalk, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions<S::Square>) {
     for i in samples {
         let Some(u) = walk.lattice.coordinates(batch.positions[i]) else { continue };
         let (cell, _) = walk.lattice.cell(u);
@@ -150,7 +151,7 @@ fn walk(walk: &mut LeafWalk, batch: &RaySamples, samples: Range<usize>, out: &mu
         }
     }
     for (&key, sum) in walk.touched.keys.iter().zip(&walk.touched.sums) {
-        out.push(key, sum.squared());
+        out.push(key, sum.squared::<S>());
     }
     walk.leaf.edge = 0;
     walk.touched.clear();
