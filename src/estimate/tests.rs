@@ -1,11 +1,15 @@
 //! The whole pipeline on small scenes.
 
+mod entries;
 mod splats;
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use super::*;
+use crate::Error;
 use crate::field::{ClosedForm, RadianceField};
 use crate::geometry::{Aabb, Camera, Domain};
-use crate::monitor::Silent;
+use crate::monitor::{Monitor, Silent};
 use crate::octree::MaxLevels;
 use crate::posterior::{Covariance, DataScale, OctreePosterior, Pooling, Posterior, Refinement, Scale};
 use crate::render::{DepthProbe, Marcher, Tracer, render_view_with_depth};
@@ -14,6 +18,26 @@ use glam::{DVec3, Vec3};
 
 fn settings(rays: u64) -> RaySettings {
     RaySettings { rays, occupancy: 48, ..RaySettings::default() }
+}
+
+/// Asks to stop after some rays.
+struct After(AtomicU64);
+
+impl After {
+    fn rays(rays: u64) -> Self {
+        Self(AtomicU64::new(rays))
+    }
+}
+
+impl Monitor for After {
+    fn begin(&self, _: &str, _: u64) {}
+    fn advance(&self, rays: u64) {
+        self.0.fetch_sub(rays.min(self.0.load(Ordering::Relaxed)), Ordering::Relaxed);
+    }
+    fn end(&self) {}
+    fn interrupted(&self) -> bool {
+        self.0.load(Ordering::Relaxed) == 0
+    }
 }
 
 #[test]

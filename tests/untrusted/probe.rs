@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PointReader, PosedImage, Views, scene_points};
-use octobayes::estimate::{Checkpoint, FieldBuilder, FieldSource, GridKind, GridSettings, SURFACE_POINTS};
+use octobayes::estimate::{Checkpoint, FieldBuilder, FieldSource, GridSettings, SURFACE_POINTS};
 use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
@@ -30,9 +30,8 @@ fn points_around(bounds: Aabb) -> Vec<Vec3> {
 pub fn open(kind: Kind, path: &Path) -> bool {
     match kind {
         Kind::Field => UncertaintyField::read(path).is_ok(),
-        Kind::Checkpoint => [GridKind::Octree, GridKind::Dense].into_iter().any(|grid| {
-            let key = samples::run_key(grid);
-            let settings = GridSettings::default().grid(grid).level(key.lattice.level());
+        Kind::Checkpoint => samples::checkpoint_grids().into_iter().any(|settings| {
+            let key = samples::run_key(&settings);
             let mut builder = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
             builder.restore(path, &key).is_ok()
         }),
@@ -191,10 +190,9 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
 
 fn checkpoint(path: &Path) -> Result<()> {
     let mut outcome = Ok(());
-    for grid in [GridKind::Octree, GridKind::Dense] {
-        let key = samples::run_key(grid);
+    for settings in samples::checkpoint_grids() {
+        let key = samples::run_key(&settings);
         let _ = Checkpoint::new(path).rays(None);
-        let settings = GridSettings::default().grid(grid).level(key.lattice.level());
         let mut builder = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
         outcome = builder.restore(path, &key).map(|found| {
             assert!(key.shard.admits(&found));

@@ -24,7 +24,7 @@ use super::{Kind, forge, splats, torch};
 pub fn of(kind: Kind) -> Vec<Vec<u8>> {
     match kind {
         Kind::Field => fields().iter().map(|field| written("field.oct", |path| field.write(path).unwrap())).collect(),
-        Kind::Checkpoint => [GridKind::Octree, GridKind::Dense].map(checkpoint).to_vec(),
+        Kind::Checkpoint => checkpoint_grids().map(checkpoint).to_vec(),
         Kind::Ppng => vec![ppng(1, 1), ppng(2, 2)],
         Kind::Transforms => transforms(),
         Kind::Samples => vec![samples(), few_samples()],
@@ -166,9 +166,14 @@ pub fn fields() -> Vec<UncertaintyField> {
     ]
 }
 
-/// The run to which the sample checkpoints belong.
-pub fn run_key(grid: GridKind) -> RunKey {
-    let settings = GridSettings::default().grid(grid).level(if grid == GridKind::Dense { 1 } else { 3 });
+/// The grids of the sample checkpoints: all that a run can sum, each on a lattice of its own.
+pub fn checkpoint_grids() -> [GridSettings; 3] {
+    let octree = GridSettings::default();
+    [octree.level(3), octree.level(2).keep_sums(false), octree.level(1).grid(GridKind::Dense)]
+}
+
+/// The run to which the sample checkpoint of such a grid belongs.
+pub fn run_key(settings: &GridSettings) -> RunKey {
     RunKey {
         version: "1".into(),
         source: "tests".into(),
@@ -190,9 +195,8 @@ pub fn run_key(grid: GridKind) -> RunKey {
     }
 }
 
-fn checkpoint(grid: GridKind) -> Vec<u8> {
-    let key = run_key(grid);
-    let settings = GridSettings::default().grid(grid).level(key.lattice.level());
+fn checkpoint(settings: GridSettings) -> Vec<u8> {
+    let key = run_key(&settings);
     let mut one = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
     let mut ray = RaySamples::default();
     let sample = RaySample { position: Vec3::splat(0.1), jacobian: [0.5; 9], weight: 0.9 };

@@ -1,13 +1,12 @@
 //! Runs of splats: the same stages behind the samples, other rays in front of them.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use glam::{DVec3, Quat, Vec3};
 
 use super::super::*;
+use super::After;
 use crate::Error;
 use crate::geometry::{Camera, Domain, Mask};
-use crate::monitor::{Monitor, Silent};
+use crate::monitor::Silent;
 use crate::posterior::{Criteria, Criterion, VertexSums};
 use crate::rays::{Pixels, Purpose, RayStream, RunProgress, Shard};
 use crate::render::{GradientMethod, RaySamples};
@@ -180,20 +179,6 @@ fn a_run_through_every_pixel_is_drawn_camera_by_camera() {
     assert!(compared.in_box.clone().unwrap().max < 1e-5, "{compared:?}");
 }
 
-/// Asks to stop after some rays.
-struct After(AtomicU64);
-
-impl Monitor for After {
-    fn begin(&self, _: &str, _: u64) {}
-    fn advance(&self, rays: u64) {
-        self.0.fetch_sub(rays.min(self.0.load(Ordering::Relaxed)), Ordering::Relaxed);
-    }
-    fn end(&self) {}
-    fn interrupted(&self) -> bool {
-        self.0.load(Ordering::Relaxed) == 0
-    }
-}
-
 #[test]
 fn a_resumed_run_ends_with_the_same_bits() {
     let folder = tempfile::tempdir().unwrap();
@@ -203,7 +188,7 @@ fn a_resumed_run_ends_with_the_same_bits() {
         let run = Estimation::of_splats(&splats, &cameras).domain(domain()).rays(settings(rays)).grid(grid());
         run.checkpoint(Checkpoint::new(folder.path().join("run.chk")))
     };
-    let monitor = After(AtomicU64::new(60_000));
+    let monitor = After::rays(60_000);
     assert!(matches!(started().monitor(&monitor).run(), Err(Error::Interrupted)));
     let resumed = started().run().unwrap();
     assert_eq!(resumed.progress.rays, rays);
