@@ -28,11 +28,22 @@ use common::table::{Table, whole};
 use common::work::Work;
 
 const QUERIES: usize = 1_000_000;
-/// Level, rays, budget in bytes.
-type Case = (u8, u64, Option<u64>);
-const UNLIMITED: [Case; 5] =
-    [(8, 1_024_000, None), (9, 1_024_000, None), (10, 1_024_000, None), (11, 1_024_000, None), (12, 1_024_000, None)];
-const LIMITED: [Case; 2] = [(12, 4_096_000, Some(4 << 30)), (13, 4_096_000, Some(4 << 30))];
+/// Level, rays, budget in bytes, whether the field keeps its sums.
+type Case = (u8, u64, Option<u64>, bool);
+const UNLIMITED: [Case; 5] = [
+    (8, 1_024_000, None, false),
+    (9, 1_024_000, None, false),
+    (10, 1_024_000, None, false),
+    (11, 1_024_000, None, false),
+    (12, 1_024_000, None, false),
+];
+/// As the command line runs by default, and as the library does.
+const LIMITED: [Case; 4] = [
+    (12, 4_096_000, Some(4 << 30), false),
+    (13, 4_096_000, Some(4 << 30), false),
+    (12, 4_096_000, Some(4 << 30), true),
+    (13, 4_096_000, Some(4 << 30), true),
+];
 /// The first argument of a process that measures one row of the city, and of the unbounded scene.
 const ROW: &str = "row";
 const UNBOUNDED_ROW: &str = "unbounded-row";
@@ -40,8 +51,8 @@ const UNBOUNDED_ROW: &str = "unbounded-row";
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     if arguments.first().is_some_and(|word| word == ROW) {
-        let [level, rays, memory] = [1, 2, 3].map(|i| arguments[i].parse::<u64>().expect("a whole number"));
-        let row = measure((level as u8, rays, Some(memory).filter(|&bytes| bytes > 0)))?;
+        let [level, rays, memory, keeps] = [1, 2, 3, 4].map(|i| arguments[i].parse::<u64>().expect("a whole number"));
+        let row = measure((level as u8, rays, Some(memory).filter(|&bytes| bytes > 0), keeps > 0))?;
         println!("{}", serde_json::to_string(&row).expect("numbers"));
         return Ok(());
     }
@@ -70,8 +81,8 @@ struct Row {
     structure_bytes: usize,
     /// A dense grid of one f32 a vertex.
     dense_bytes: u64,
-    /// Of the sums that the field keeps.
-    kept_bytes: usize,
+    /// Of the sums at the end of the run.
+    sums_bytes: usize,
     /// Of the process.
     peak: u64,
     seconds: f64,
@@ -88,11 +99,11 @@ fn words(rays: u64) -> String {
     format!("city, 800 cameras. {described} {} Times and peaks are of one process a row.", seeds(&[0]))
 }
 
-fn measure((level, rays, memory): Case) -> Result<Row> {
+fn measure((level, rays, memory, keeps_sums): Case) -> Result<Row> {
     let city = Scene::city()?;
-    let grid = GridSettings::default().level(level).memory(memory);
+    let grid = GridSettings::default().level(level).memory(memory).keep_sums(keeps_sums);
     let start = Instant::now();
-    let Outcome { field, .. } = city.estimation(settings(rays), grid).run()?;
+    let Outcome { field, sums_bytes, .. } = city.estimation(settings(rays), grid).run()?;
     let seconds = start.elapsed().as_secs_f64();
     let peak = peak();
     let field = city.with_surfaces(field, settings(rays), QUERIES)?;
@@ -109,7 +120,7 @@ fn measure((level, rays, memory): Case) -> Result<Row> {
         query_bytes: summary.query_bytes,
         structure_bytes: summary.structure_bytes,
         dense_bytes: 4 * field.lattice().dense_vertices(),
-        kept_bytes: field.sums().map_or(0, size_of_val),
+        sums_bytes,
         peak,
         seconds,
         nanoseconds,
@@ -130,10 +141,10 @@ fn measured<T: DeserializeOwned>(arguments: &[String]) -> Result<T> {
 
 /// One process a row.
 fn rows(work: &Work, cases: &[Case]) -> Result<Vec<Row>> {
-    let row = |&(level, rays, memory): &Case| {
-        let numbers = [u64::from(level), rays, memory.unwrap_or(0)].map(|v| v.to_string());
+    let row = |&(level, rays, memory, keeps_sums): &Case| {
+        let numbers = [u64::from(level), rays, memory.unwrap_or(0), u64::from(keeps_sums)].map(|v| v.to_string());
         let arguments = [&[ROW.to_owned()][..], &numbers].concat();
-        work.row(("scaling", level, rays, memory), || measured(&arguments))
+        work.row(("scaling", level, rays, memory, keeps_sums), || measured(&arguments))
     };
     cases.iter().map(row).collect()
 }
@@ -211,12 +222,13 @@ fn table(cases: &[Case], rows: &[Row]) -> String {
         "structure, B / vertex",
         "dense f32 grid, bytes",
         "dense : field",
-        "sums kept, bytes",
+        "sums, bytes",
+        "field keeps them",
         "peak of the process, MB",
         "time, s",
         "query, ns",
     ]);
-    for ((level, rays, memory), row) in cases.iter().zip(rows) {
+    for ((level, rays, memory, keeps_sums), row) in cases.iter().zip(rows) {
         let dense = row.dense_bytes as f64;
         table.row(&[
             level.to_string(),
@@ -228,7 +240,8 @@ fn table(cases: &[Case], rows: &[Row]) -> String {
             format!("{:.2}", row.structure_bytes as f64 / row.vertices as f64),
             whole(dense),
             whole(dense / row.query_bytes as f64),
-            whole(row.kept_bytes as f64),
+            whole(row.sums_bytes as f64),
+            if *keeps_sums { "yes" } else { "no" }.into(),
             whole(row.peak as f64 / 1e6),
             format!("{:.1}", row.seconds),
             whole(row.nanoseconds),

@@ -29,8 +29,8 @@ const BUILDING: f64 = 4.0;
 /// Bytes of a part's sums in the file.
 const EXACT: f64 = (6 * size_of::<f64>() + size_of::<u32>()) as f64;
 /// Bytes that every process needs beyond what the pilot shows, such as for ray coverage. Small scenes were found to
-/// need up to 12 MB, in sums that grow and in what the allocator keeps.
-const RESERVE: f64 = 12e6;
+/// need up to 17 MB, in sums that grow and in what the allocator keeps.
+const RESERVE: f64 = 18e6;
 /// What the process holds is rounded up to multiples of this, so that runs on equal machines usually make the same plan
 /// although no two processes are of exactly the same size.
 const GRAIN: f64 = 16e6;

@@ -122,7 +122,7 @@ impl<S: Sums> OctreePosterior<S> {
         let values = deviations.par_chunks_mut(TOGETHER).zip(rays.par_chunks_mut(TOGETHER));
         self.groups_at(octree).zip(values).for_each(|(group, (deviations, rays))| {
             for ((point, sums), (deviation, count)) in group.into_iter().zip(deviations.iter_mut().zip(rays)) {
-                (*deviation, *count) = (reading.deviation_at(self.limits(), point, sums), code(sums.rays));
+                (*deviation, *count) = (reading.deviation_at(self.limits(), point, sums.widened()), code(sums.rays()));
             }
         });
         (deviations, rays)

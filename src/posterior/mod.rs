@@ -76,7 +76,7 @@ pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
     fn count(&self, vertices: &Self::Vertices) -> usize;
 
     /// The sums at these vertices, in their order.
-    fn gathered(self, vertices: &Self::Vertices) -> Vec<VertexSums>;
+    fn gathered(self, vertices: &Self::Vertices) -> Vec<Self::Sums>;
 
     /// The sums of this posterior and of another on the same leaves, at every vertex that rays touched in either.
     fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)>;

@@ -118,7 +118,8 @@ pub struct GridOptions {
     #[arg(long, value_enum, default_value_t, help_heading = heading::STATISTICS, hide_short_help = true)]
     pub pooling: Pooling,
 
-    /// Keep the 3x3 matrices too: 28 bytes more a vertex. Other covariances, and `merge` with other seeds, need them
+    /// Keep the 3x3 matrices too: 28 bytes more a vertex in the file, and 76 in memory. Other covariances, and `merge`
+    /// with other seeds, need them
     #[arg(long, help_heading = heading::STATISTICS, hide_short_help = true)]
     pub keep_sums: bool,
 }

@@ -215,8 +215,8 @@ impl<S: Sums> Posterior for OctreePosterior<S> {
         octree.vertex_count()
     }
 
-    fn gathered(self, octree: &Octree) -> Vec<VertexSums> {
-        self.sums_at(octree)
+    fn gathered(self, octree: &Octree) -> Vec<S> {
+        self.each_at(octree, |sums| *sums)
     }
 
     fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {

@@ -138,17 +138,19 @@ impl<S: Sums> OctreePosterior<S> {
     /// The sums at the vertices of an octree, in the order of their ids, with zeros for what is not summed.
     #[must_use]
     pub fn sums_at(&self, octree: &Octree) -> Vec<VertexSums> {
-        let mut all = vec![VertexSums::default(); octree.vertex_count()];
+        self.each_at(octree, S::widened)
+    }
+
+    /// What `read` makes of the sums at the vertices of an octree, in the order of their ids.
+    pub(super) fn each_at<T: Clone + Default + Send>(&self, octree: &Octree, read: impl Fn(&S) -> T + Sync) -> Vec<T> {
+        let mut all = vec![T::default(); octree.vertex_count()];
         let groups = self.groups_at(octree).zip(all.par_chunks_mut(TOGETHER));
-        groups.for_each(|(group, all)| all.iter_mut().zip(group).for_each(|(to, (_, sums))| *to = sums));
+        groups.for_each(|(group, all)| all.iter_mut().zip(group).for_each(|(to, (_, sums))| *to = read(&sums)));
         all
     }
 
     /// The vertices of an octree with their sums, in the order of their ids, in groups of [`TOGETHER`].
-    pub(crate) fn groups_at(
-        &self,
-        octree: &Octree,
-    ) -> impl IndexedParallelIterator<Item = Vec<([u32; 3], VertexSums)>> {
+    pub(crate) fn groups_at(&self, octree: &Octree) -> impl IndexedParallelIterator<Item = Vec<([u32; 3], S)>> {
         let groups = octree.par_vertex_positions().chunks(TOGETHER);
         groups.map_init(
             || self.sums.reader(),
@@ -156,7 +158,7 @@ impl<S: Sums> OctreePosterior<S> {
                 // All of them are found before the sums of any are read, so that their cache misses overlap.
                 let found: Vec<_> =
                     points.iter().map(|&point| reader.find(VertexKey::new(point, self.coarseness(point)))).collect();
-                let sums = found.into_iter().map(|sums| sums.map(S::widened).unwrap_or_default());
+                let sums = found.into_iter().map(|sums| sums.copied().unwrap_or_default());
                 points.into_iter().zip(sums).collect()
             },
         )

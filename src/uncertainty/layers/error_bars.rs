@@ -35,7 +35,7 @@ use serde_json::Value;
 use super::super::file::Source;
 use super::{Change, Layer, Sections};
 use crate::Result;
-use crate::posterior::{Reading, VertexSums};
+use crate::posterior::{Reading, Sums, VertexSums};
 use crate::uncertainty::{MOVED, StandardDeviations, UncertaintyField};
 
 /// Root mean square errors of log10 σ_v, decades.
@@ -204,13 +204,14 @@ impl Layer for ErrorBars {
 /// `[vertices]`: the sums of all groups but `deleted`.
 ///
 /// They are summed anew, because subtracting from the total would leave rounding where the result is 0.
-fn summed(groups: &[Vec<VertexSums>], deleted: Option<usize>) -> Vec<VertexSums> {
+fn summed<S: Sums>(groups: &[Vec<S>], deleted: Option<usize>) -> Vec<VertexSums> {
     let others = || groups.iter().enumerate().filter(move |(g, _)| Some(*g) != deleted).map(|(_, group)| group);
     let sum = |v: usize| {
-        others().fold(VertexSums::default(), |mut sum, group| {
+        let sum = others().fold(S::default(), |mut sum, group| {
             sum += &group[v];
             sum
-        })
+        });
+        sum.widened()
     };
     (0..groups[0].len()).into_par_iter().map(sum).collect()
 }
@@ -223,7 +224,7 @@ impl UncertaintyField {
     /// # Panics
     /// If there are fewer than two groups, a group has no rays, or the lengths differ.
     #[must_use]
-    pub fn with_error_bars(mut self, groups: &[Vec<VertexSums>], rays: &[u64]) -> Self {
+    pub fn with_error_bars<S: Sums>(mut self, groups: &[Vec<S>], rays: &[u64]) -> Self {
         let vertices = self.deviations.len();
         assert!(groups.iter().all(|group| group.len() == vertices), "one entry per vertex");
         assert!(groups.len() == rays.len() && rays.len() >= 2 && rays.iter().all(|&m| m > 0), "groups with rays");
@@ -243,8 +244,8 @@ impl UncertaintyField {
         let log10 = |deviations: &StandardDeviations, v: usize| deviations.get(v).log10();
         let logs = |of: &[StandardDeviations], v: usize| of.iter().map(|d| log10(d, v)).collect::<Vec<f64>>();
         let error = |v: usize| {
-            let seen = groups.iter().filter(|group| group[v].rays > 0).count();
-            let rays_here: u64 = groups.iter().map(|group| u64::from(group[v].rays)).sum();
+            let seen = groups.iter().filter(|group| group[v].rays() > 0).count();
+            let rays_here: u64 = groups.iter().map(|group| u64::from(group[v].rays())).sum();
             if seen < MIN_GROUPS_AND_RAYS.0 || rays_here < MIN_GROUPS_AND_RAYS.1 {
                 return UNKNOWN;
             }
