@@ -80,11 +80,16 @@ impl OctreePosterior {
     /// If the limits belong to another level.
     #[must_use]
     pub fn limited(lattice: Lattice, limits: MaxLevels) -> Self {
-        Self::empty(lattice, &limits, None)
+        Self::with(lattice, limits, None)
     }
 }
 
 impl<S: Sums> OctreePosterior<S> {
+    fn with(lattice: Lattice, limits: MaxLevels, tile: Option<Tile>) -> Self {
+        assert_eq!(limits.finest(), lattice.level(), "limits belong to the lattice's level");
+        Self { lattice, limits, tile, sums: SparseSums::new() }
+    }
+
     /// The same posterior, which from now on sums at the vertices of a tile only. These get what they would get without
     /// a tile, bit for bit.
     #[must_use]
@@ -186,8 +191,7 @@ impl<S: Sums> Posterior for OctreePosterior<S> {
     type Vertices = Octree;
 
     fn empty(lattice: Lattice, limits: &MaxLevels, tile: Option<Tile>) -> Self {
-        assert_eq!(limits.finest(), lattice.level(), "limits belong to the lattice's level");
-        Self { lattice, limits: limits.clone(), tile, sums: SparseSums::new() }
+        Self::with(lattice, limits.clone(), tile)
     }
 
     fn add(&mut self, batches: &[RaySamples]) {
