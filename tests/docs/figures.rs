@@ -138,7 +138,7 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
     ];
     let pooled = "| lego, Plenoptic PNG | 102,400 | own, `--pooling auto` |";
     let (took, error) = ("s, median", "surfaces: mean");
-    let [l12, l13] = ["| 12 | 4096 |", "| 13 | 8192 |"];
+    let [l12, l13] = ["| 12 | 4096 | 4,096,000 | no |", "| 13 | 8192 | 4,096,000 | no |"];
     let fox = |row| figure(FOX, row, "rank correlation with the error of colours");
     let [fox_12, fox_44] = ["| 12 | log10 U, weighted-mean |", "| 44 | log10 U, weighted-mean |"];
     let [angle_12, angle_44] = ["| 12 | angle", "| 44 | angle"];
