@@ -260,7 +260,7 @@ fn contents_that_no_run_writes_are_refused() {
     let lambda = format!("\"lambda\":{}", serde_json::json!(samples::fields()[0].record().lambda));
     // Kind, sample, part, change, what the message names.
     type Change<'a> = &'a dyn Fn(&mut Vec<u8>);
-    let cases: [(Kind, usize, usize, Change, &str); 20] = [
+    let cases: [(Kind, usize, usize, Change, &str); 22] = [
         // A prior that is infinite.
         (
             Kind::Field,
@@ -304,6 +304,9 @@ fn contents_that_no_run_writes_are_refused() {
         (Kind::Checkpoint, 0, 2, &|keys| keys[..8].copy_from_slice(&(3_u64 << 57 | 8).to_le_bytes()), "sums"),
         // A key of a vertex on leaves that the run does not have.
         (Kind::Checkpoint, 0, 2, &|keys| keys[..8].copy_from_slice(&(1_u64 << 57).to_le_bytes()), "sums"),
+        // Negative sums: all of S, and its diagonal alone.
+        (Kind::Checkpoint, 0, 3, &|sums| sums[7] |= 0x80, "sums"),
+        (Kind::Checkpoint, 1, 3, &|sums| sums[7] |= 0x80, "sums"),
         // More points than the run keeps, and a point that is not finite.
         (Kind::Checkpoint, 0, 4, &|surface| surface.resize(12 * (SURFACE_POINTS + 1), 0), "surface"),
         (Kind::Checkpoint, 0, 4, &|surface| surface[..4].fill(0xff), "surface"),
