@@ -51,19 +51,19 @@ fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
 
 /// Sums from which a field can be computed.
 pub(super) trait Finish: Posterior + Clone {
-    /// The field at these vertices of the sums.
-    fn field(self, record: RunRecord, lattice: Lattice, at: Self::Vertices, keep_sums: bool) -> UncertaintyField;
+    /// The field at these vertices of the sums, made of a copy of them or straight from them.
+    fn field(self, record: RunRecord, lattice: Lattice, at: Self::Vertices, gathers_sums: bool) -> UncertaintyField;
 }
 
 impl Finish for DensePosterior {
-    fn field(self, record: RunRecord, lattice: Lattice, (): (), _keep_sums: bool) -> UncertaintyField {
+    fn field(self, record: RunRecord, lattice: Lattice, (): (), _gathers_sums: bool) -> UncertaintyField {
         UncertaintyField::new(record, lattice, Support::Dense, self.into_sums())
     }
 }
 
 impl<S: Sums> Finish for OctreePosterior<S> {
-    fn field(self, record: RunRecord, lattice: Lattice, at: Octree, keep_sums: bool) -> UncertaintyField {
-        UncertaintyField::on_octree(record, lattice, self, at, keep_sums)
+    fn field(self, record: RunRecord, lattice: Lattice, at: Octree, gathers_sums: bool) -> UncertaintyField {
+        UncertaintyField::on_octree(record, lattice, self, at, gathers_sums)
     }
 }
 
@@ -319,7 +319,8 @@ impl<P: Finish> Builder<P> {
         let record = self.record(source);
         let Self { settings, lattice, posterior, surface, ray_coverage, wanted, .. } = self;
         drop(wanted);
-        let field = posterior.field(record, lattice, vertices, settings.keep_sums);
+        let gathers_sums = settings.gathers_sums(record.is_part());
+        let field = posterior.field(record, lattice, vertices, gathers_sums);
         let field = if settings.keep_sums { field } else { field.for_queries() };
         let ray_coverage = ray_coverage.map(|ray_coverage| ray_coverage.within(settings.tile, lattice.level()));
         field.with_surface(surface).with_ray_coverage(ray_coverage)

@@ -93,15 +93,14 @@ impl GridSettings {
         self.memory.is_some() || self.criteria.ray_count
     }
 
-    /// Whether the sums are copied to the vertices of the field, in a run that is a part of another or a whole one.
+    /// Whether the field is made of a copy of all sums at its vertices; so it is in any run that is a part of another.
     pub(super) fn gathers_sums(&self, is_part: bool) -> bool {
         is_part || self.tile.is_some() || self.keep_sums || self.pooling.is_on()
     }
 
     /// What an octree sums of S: no more than is read.
     pub(super) fn entries(&self, is_part: bool) -> Entries {
-        let is_whole = self.gathers_sums(is_part) || self.covariance == Covariance::Block;
-        if is_whole { Entries::All } else { Entries::Diagonal }
+        if self.gathers_sums(is_part) { Entries::All } else { self.covariance.entries() }
     }
 
     /// Prior precision λ over `lattice`, 1 / scene unit².

@@ -9,6 +9,7 @@ mod audit;
 mod builder;
 mod checkpoint;
 mod derivatives;
+mod draw;
 mod error_budget;
 mod estimation;
 mod facts;

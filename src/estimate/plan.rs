@@ -14,7 +14,7 @@ use crate::geometry::Lattice;
 use crate::io::memory;
 use crate::monitor::Monitor;
 use crate::octree::{MaxLevels, Tile};
-use crate::posterior::{DensePosterior, Entries, FactoredSums, PilotCounts, SpeciesEstimate, VertexSums, list_bytes};
+use crate::posterior::{DensePosterior, FactoredSums, PilotCounts, SpeciesEstimate, VertexSums, list_bytes};
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::splats::Use;
 use crate::{Error, Result};
@@ -145,7 +145,6 @@ pub struct Planner {
     scale: f64,
     own_scale: f64,
     is_part: bool,
-    entries: Entries,
     outside: f64,
     /// What earlier attempts took.
     correction: Correction,
@@ -197,8 +196,7 @@ impl Planner {
             Ok(())
         })?;
         let is_part = shard.of > 1 || settings.tile.is_some();
-        let entries = settings.entries(is_part);
-        let lists = LISTS * list_bytes(entries, census.longest_batch()) as f64;
+        let lists = LISTS * list_bytes(settings.entries(is_part), census.longest_batch()) as f64;
         let scale = rays.rays as f64 / pilot.rays as f64;
         // All parts of a run expect the same.
         let own_scale = scale / shard.of as f64;
@@ -220,7 +218,6 @@ impl Planner {
             scale,
             own_scale,
             is_part,
-            entries,
             outside,
             correction: Correction { sums: 1.0, vertices: 1.0 },
             time: match preparing {
@@ -256,7 +253,11 @@ impl Planner {
             GridKind::Octree => {
                 let needs = self.census.needs(self.own_scale, &limits, self.settings.tile);
                 let Correction { sums, vertices } = self.correction;
-                (vertices * needs.vertices, sums * needs.summing(self.entries), needs.spare(sums))
+                (
+                    vertices * needs.vertices,
+                    sums * needs.summing(self.settings.entries(self.is_part)),
+                    needs.spare(sums),
+                )
             }
         };
         let [structure, stored] = if self.settings.grid == GridKind::Dense { [0.0; 2] } else { STRUCTURE };
@@ -351,7 +352,7 @@ impl Planner {
     /// `done` of the rays of `plan`.
     pub(super) fn correct(&mut self, plan: &Plan, done: f64, summed: Summed) {
         let needs = self.census.needs(done * self.own_scale, &plan.limits, self.settings.tile);
-        let sums = summed.used as f64 / needs.summing(self.entries).max(1.0);
+        let sums = summed.used as f64 / needs.summing(self.settings.entries(self.is_part)).max(1.0);
         // Where nobody counted, there are as many more vertices as sums.
         let counted = summed.vertices.map(|count| count as f64 / needs.vertices.max(1.0));
         self.correction = Correction { sums, vertices: counted.unwrap_or(sums) };

@@ -1,25 +1,25 @@
-//! A run, from its settings to a field: what is asked before its first ray, and how it draws its rays.
+//! A run, from its settings to a field: what is asked before its first ray, and which goal it has.
 
-use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
 use super::builder::{Builder, Finish};
-use super::checkpoint::{Saver, rays_per_vertex};
+use super::checkpoint::rays_per_vertex;
 use super::derivatives;
+use super::draw::{Drawn, Part, draw};
 use super::estimation::{Estimation, Goal};
-use super::limits::{COMPARED_AT, Limits};
+use super::limits::Limits;
 use super::mean_error;
 use super::{
     Audit, CoverageCheck, ErrorBudget, FieldBuilder, FieldSource, GridKind, GridSettings, Plan, Planner, PositionCheck,
-    RayError, StepCheck, Summed,
+    RayError, StepCheck,
 };
 use crate::geometry::{Aabb, Lattice, kept_pixels};
 use crate::octree::Leaves;
 use crate::posterior::{DensePosterior, DiagonalSums, Entries, OctreePosterior, RayCoverage};
-use crate::rays::{End, Pixels, Purpose, RayStream, RunProgress, Shard};
+use crate::rays::{Pixels, Purpose, RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -49,22 +49,6 @@ pub struct Run<'a> {
     lattice: Lattice,
     stream: RayStream<'a>,
     pub(super) limits: Limits,
-}
-
-/// Rays with separate sums: a whole run or one group.
-struct Part<'r> {
-    stream: &'r RayStream<'r>,
-    shard: Shard,
-    file: Option<&'r Path>,
-}
-
-/// What was drawn.
-struct Drawn<P: Finish> {
-    progress: RunProgress,
-    /// Time spent on summing.
-    summing: Duration,
-    /// The vertices of the field, if they were found to see whether the field fits the budget.
-    vertices: Option<P::Vertices>,
 }
 
 impl<'a> Estimation<'a> {
@@ -387,66 +371,5 @@ impl<'a> Run<'a> {
         let plan = self.limits.plan.clone().filter(|_| self.settings.grid.grid == GridKind::Octree);
         let (errors, is_replanned) = (ErrorBudget::of_field(&field), self.limits.is_replanned);
         Outcome { field, progress, sums_bytes, summing, plan, is_replanned, errors }
-    }
-}
-
-/// Draws the rays of `part` into `builder`, starting after its checkpoint.
-///
-/// If the budget is exhausted in spite of the plan, or would be by the field, or if the first rays show that much of it
-/// would remain unused, the part starts over with a better plan. The outcome is that of a run with this plan from the
-/// start.
-fn draw<P: Finish>(
-    settings: &mut Estimation,
-    limits: &mut Limits,
-    part: &Part,
-    builder: &mut Builder<P>,
-) -> Result<Drawn<P>> {
-    let Part { stream, shard, file } = *part;
-    let (is_group, source) = (settings.goal.groups().is_some(), settings.key_source());
-    let Estimation { rays, monitor, checkpoint, tap, .. } = settings;
-    let key = |builder: &Builder<P>| builder.run_key(source.clone(), shard, stream, rays.occupancy);
-    let mut saver = Saver::new(checkpoint.as_ref(), file);
-    let mut from = saver.restore(builder, &key(builder))?;
-    let mut summing = Duration::ZERO;
-    let all = shard.own_rays() as f64;
-    // The plan of a part must be that of the others, so it is not compared with the part's own sums.
-    limits.is_compared |= shard.of > 1 || from.rays as f64 >= COMPARED_AT * all;
-    loop {
-        let end = stream.run_until(shard, from, *monitor, |batches, progress| {
-            let start = Instant::now();
-            builder.add(batches);
-            summing += start.elapsed();
-            let verdict = limits.verdict(progress.rays as f64 / all, builder.summed())?;
-            if verdict.is_continue() {
-                saver.save_if_due(builder, || key(builder), *progress)?;
-                tap.as_mut().map_or(Ok(()), |tap| tap(batches))?;
-            }
-            Ok(verdict)
-        })?;
-        let plan = match end {
-            End::Broken(plan) => plan,
-            End::Stopped(progress) => {
-                saver.save(builder, || key(builder), progress)?;
-                return Err(Error::Interrupted);
-            }
-            End::Complete(progress) => {
-                // How many vertices there will be is a rougher forecast than what sums take.
-                let source = FieldSource { source: String::new(), progress, shard: Some(shard), stream: Some(stream) };
-                let found = limits.budget.map(|_| builder.vertices(&source));
-                let vertices = found.as_ref().map(|(_, count)| *count);
-                match limits.verdict(1.0, Summed { vertices, ..builder.summed() })? {
-                    ControlFlow::Break(plan) => plan,
-                    ControlFlow::Continue(()) => {
-                        // A completed group is not drawn again if a later one is interrupted.
-                        if is_group {
-                            saver.save(builder, || key(builder), progress)?;
-                        }
-                        return Ok(Drawn { progress, summing, vertices: found.map(|(vertices, _)| vertices) });
-                    }
-                }
-            }
-        };
-        builder.limit(&plan);
-        (limits.plan, limits.is_replanned, from) = (Some(plan), true, RunProgress::default());
     }
 }

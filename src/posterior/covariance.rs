@@ -1,7 +1,7 @@
 //! Standard deviations computed from a vertex's information.
 
 use super::double_double::DoubleDouble;
-use super::{Information, VertexSums, trace};
+use super::{Entries, Information, VertexSums, trace};
 
 /// The definition of the standard deviation σ_v, computed from H_v = (2/R) S_v + 2λ I.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
@@ -28,6 +28,14 @@ impl Covariance {
             Self::Diagonal => "diagonal",
             Self::Trace => "trace",
             Self::Block => "block",
+        }
+    }
+
+    /// The entries of S that σ_v depends on.
+    pub(crate) fn entries(self) -> Entries {
+        match self {
+            Self::Diagonal | Self::Trace => Entries::Diagonal,
+            Self::Block => Entries::All,
         }
     }
 

@@ -118,21 +118,22 @@ impl UncertaintyField {
         Self { record, lattice, support, deviations, rays, layers }
     }
 
-    /// The field on an octree that was made of the sums. σ is read straight from the posterior unless the sums are kept
-    /// or needed, which saves a copy.
+    /// The field on an octree that was made of the sums. σ is read straight from the posterior, which saves a copy, or
+    /// the field gathers the sums. It must if they are kept, a part of others, or pooled.
     ///
     /// # Panics
-    /// If they are, and not all of them are there.
+    /// If it gathers them, and has not all of S, or must and does not.
     pub(crate) fn on_octree<S: Sums>(
         record: RunRecord,
         lattice: Lattice,
         posterior: OctreePosterior<S>,
         octree: Octree,
-        keep_sums: bool,
+        gathers_sums: bool,
     ) -> Self {
         let (limits, tile) = (posterior.limits().clone(), posterior.tile());
-        let mut field = if keep_sums || record.is_part() || record.pooling.is_on() || tile.is_some() {
-            assert!(S::IS_WHOLE, "sums are kept, or needed: all of them");
+        let must = record.is_part() || record.pooling.is_on() || tile.is_some();
+        assert!(if gathers_sums { S::IS_WHOLE } else { !must }, "a part of a run, or a pooled one, needs all sums");
+        let mut field = if gathers_sums {
             let sums = posterior.sums_at(&octree);
             drop(posterior);
             Self::on_leaves(record, lattice, Support::Octree(octree), limits, sums)
