@@ -260,7 +260,7 @@ fn contents_that_no_run_writes_are_refused() {
     let lambda = format!("\"lambda\":{}", serde_json::json!(samples::fields()[0].record().lambda));
     // Kind, sample, part, change, what the message names.
     type Change<'a> = &'a dyn Fn(&mut Vec<u8>);
-    let cases: [(Kind, usize, usize, Change, &str); 22] = [
+    let cases: [(Kind, usize, usize, Change, &str); 24] = [
         // A prior that is infinite.
         (
             Kind::Field,
@@ -297,6 +297,9 @@ fn contents_that_no_run_writes_are_refused() {
         // Residuals that are not finite, and of a vertex that is not there.
         (Kind::Field, 9, 12, &|residuals| residuals[..4].fill(0xff), "residuals"),
         (Kind::Field, 9, 12, &|residuals| residuals.truncate(4), "residuals"),
+        // The same of the colours.
+        (Kind::Field, 9, 14, &|spread| spread[..4].fill(0xff), "color spread"),
+        (Kind::Field, 9, 14, &|spread| spread.truncate(4), "color spread"),
         // A run with something behind it.
         (Kind::Checkpoint, 0, 1, &|run| run.push(0), "`run`"),
         // Keys of vertices: so coarse that a shift by their levels overflows, then coarse and outside.

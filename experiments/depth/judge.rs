@@ -4,7 +4,7 @@ use std::path::Path;
 
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::evaluate::{
-    DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, measure_residuals,
+    DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, compare_images,
 };
 use octobayes::field::RadianceField;
 use octobayes::geometry::Domain;
@@ -189,7 +189,7 @@ pub fn judge(
     let model = VolumeRenderer { differentiation: Some(differentiation), ..plain.clone() };
     let training = TrainingViews::render(&plain, &cameras, pixel_offset, &Silent)?;
     let images = data.for_residuals(pixel_offset).into_iter().map(Ok);
-    let residuals = measure_residuals(&tracer, images, fields[0].lattice(), &Silent)?;
+    let residuals = compare_images(&tracer, images, fields[0].lattice(), &Silent)?.residuals;
     let edge = DataScale::longest_edge(fields[0].lattice().domain());
     let warp = Warp::render(&tracer, &cameras, pixel_offset)?;
     let readings = readings(fields)?;

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::DVec3;
 use octobayes::estimate::{Estimation, RaySettings};
 use octobayes::evaluate::{
-    CONFIRMING_VIEWS, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, measure_residuals,
+    CONFIRMING_VIEWS, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, compare_images,
 };
 use octobayes::field::RadianceField;
 use octobayes::geometry::Domain;
@@ -52,10 +52,10 @@ pub type Held = [f64; PROBABILITIES.len()];
 #[derive(Clone, Serialize, Deserialize)]
 pub struct Row {
     psnr: f64,
-    /// Share of pixels that training views confirm.
-    confirmed: f64,
-    /// Plain and with residuals, over all pixels and the confirmed ones.
-    held: [[Held; 2]; 2],
+    /// Shares of the pixels that training views confirm, and of those whose colour images agree on, too.
+    shares: [f64; 2],
+    /// Plain and with residuals, over all pixels and these parts.
+    held: [[Held; 2]; 3],
     /// Plain, of expected depth instead of the median.
     expected: Held,
     /// Plain, if the truth had lego's steps.
@@ -74,6 +74,7 @@ struct Pixels {
     /// Plain, and with residuals; without the steps of the truth.
     variance: [Vec<f64>; 2],
     confirmed: Vec<bool>,
+    photo_consistent: Vec<bool>,
     causes: [Vec<bool>; CAUSES.len()],
     /// Cell of the true point.
     cell: Vec<[i32; 3]>,
@@ -92,15 +93,15 @@ pub fn judge(data: &Data, field: &dyn RadianceField, psnr: f64, rays: RaySetting
     let model = VolumeRenderer { differentiation: Some(differentiation), ..plain.clone() };
     let training = TrainingViews::render(&plain, &data.strided_cameras(offset), offset, &Silent)?;
     let images = data.for_residuals(offset);
-    let residuals = measure_residuals(&tracer, images.iter().cloned().map(Ok), run.field.lattice(), &Silent)?;
+    let compared = compare_images(&tracer, images.iter().cloned().map(Ok), run.field.lattice(), &Silent)?;
     let look = |image: TrueView| {
         let seen = TrainingViews::render(&plain, &[image.camera], offset, &Silent)?;
         Ok(Look { image, seen })
     };
     let looks = images.into_iter().map(look).collect::<Result<Vec<_>>>()?;
-    let with_residuals = run.field.clone().with_residuals(residuals)?;
+    let with_images = compared.join(run.field.clone())?;
     let reading = |name: &str, field| Reading { name: name.into(), field, averages: Vec::new() };
-    let readings = [reading("plain", run.field), reading("with residuals", with_residuals)];
+    let readings = [reading("plain", run.field), reading("with images", with_images)];
     let evaluator = Evaluator { training: Some(&training), ..Evaluator::new(&model, &readings) };
     let measures = evaluator.measures();
     let [of_plain, of_residuals] = [0, 1].map(|r| measures.iter().position(|m| *m == Measure::DepthDeviation(r)));
@@ -131,6 +132,7 @@ impl Pixels {
     ) {
         let [width, height] = truth.camera.resolution.map(|n| n as usize);
         self.confirmed.extend(&view.confirmed);
+        self.photo_consistent.extend(&view.photo_consistent);
         for (k, &i) in view.pixels.iter().enumerate() {
             let (Some(distance), pixel) = (truth.distance[i], &view.rendered.pixels[i]) else { continue };
             let [x, y] = [i % width, i / width];
@@ -184,8 +186,8 @@ impl Pixels {
         let cause = |cause: &Vec<bool>| [share(&|i| cause[i], &every), share(&|i| cause[i], &misses)];
         Some(Row {
             psnr,
-            confirmed: share(&|i| self.confirmed[i], &every),
-            held: [all(&every)?, all(&self.confirmed)?],
+            shares: [&self.confirmed, &self.photo_consistent].map(|part| share(&|i| part[i], &every)),
+            held: [all(&every)?, all(&self.confirmed)?, all(&self.photo_consistent)?],
             expected: held(&self.expected, &self.variance[0], of_truth, &every)?,
             stepped: held(&stepped, &self.variance[0], LEGO_STEP.powi(2) / 12.0, &every)?,
             causes: self.causes.iter().map(cause).collect(),
@@ -247,7 +249,7 @@ fn gloss(x: DVec3, looks: &[Look]) -> f64 {
     (squares / colors.len().max(1) as f64).sqrt()
 }
 
-/// Coverage of all pixels and of the confirmed ones.
+/// Coverage of all pixels, of the confirmed ones, and of those on whose colour images agree, too.
 pub fn coverage(names: &[String], rows: &[Vec<Row>]) -> String {
     let head = ["model", "PSNR, dB", "pixels", "share", "50, 68, 90, 95 %", "with `--images`"];
     let mut table = Table::new(&head);
@@ -259,10 +261,16 @@ pub fn coverage(names: &[String], rows: &[Vec<Row>]) -> String {
             (0..PROBABILITIES.len()).map(of).collect::<Vec<_>>().join(", ")
         };
         table.row(&[name.clone(), spread(&of(&|row| row.psnr), 2), "all".into(), "100".into(), held(0, 0), held(0, 1)]);
-        let share = percent(&of(&|row| row.confirmed), 1);
-        table.row(&[String::new(), String::new(), "confirmed".into(), share, held(1, 0), held(1, 1)]);
+        for (k, part) in ["confirmed", "and of one colour"].into_iter().enumerate() {
+            let share = percent(&of(&|row| row.shares[k]), 1);
+            table.row(&[String::new(), String::new(), part.into(), share, held(k + 1, 0), held(k + 1, 1)]);
+        }
     }
-    format!("### Coverage where {CONFIRMING_VIEWS} training views see a surface at that depth\n\n{}", table.text())
+    format!(
+        "### Coverage where {CONFIRMING_VIEWS} training views see a surface at that depth, and images agree on its \
+         colour\n\n{}",
+        table.text()
+    )
 }
 
 /// What misses have in common.

@@ -564,8 +564,10 @@ def render(
     Returns float32 arrays: 'color' ``[H, W, 3]``, 'depth' ``[H, W]`` (median distance from the camera, scene units; 0
     where nothing is), 'opacity' ``[H, W]``, with u 'log10_uncertainty' ``[H, W]`` (NaN where the opacity is 0.05 or
     less, or what is seen lies outside the box of u, as in the command line's pictures), and with depth_error
-    'depth_error' ``[H, W]`` (scene units; NaN where nothing is) and, if u is calibrated, 'depth_interval' ``[H, W]``
-    (half width of the interval, scene units). With confirm also 'depth_confirmed' ``[H, W]``, which is bool.
+    'depth_error' ``[H, W]`` (scene units; NaN where nothing is), if u is calibrated 'depth_interval' ``[H, W]`` (half
+    width of the interval, scene units) and, if u was computed with images, 'color_spread' ``[H, W]`` (standard
+    deviation between the training images of the colour there, from 0 to 1; rely on the deviation of depth where it is
+    0.05 or less). With confirm also 'depth_confirmed' ``[H, W]``, which is bool.
     Raises as :func:`uncertainty` does.
     """
     u = None if u is None else _field("u", u)
@@ -686,7 +688,8 @@ def evaluate(
     Returns what ``octobayes evaluate --json`` prints for these arguments, as a dictionary: 'readings' and 'baselines'
     (name; 'ause_pooled', 'ause_mean_over_views', 'risk' and 'least_risk' by error kind; 'rank_correlation' and
     'rank_correlation_mean_over_views'; 'calibration' of standard deviations of depth, which fields of scale='data'
-    give, and 'confirmed', the same where three training views see a surface, if the model stores its cameras;
+    give, and 'confirmed', the same where three training views see a surface, if the model stores its cameras, and
+    'photo_consistent', the same where images agree on its colour, too, if u was computed with images;
     'never_seen' with training_depth), 'depth_error', 'depth_readings' (pixels of the maps: 'measured', and the others
     by reason), 'psnr', 'views', 'pixels', 'clean_up' (a dictionary for each threshold) and others. Raises as
     :func:`uncertainty` does.

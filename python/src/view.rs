@@ -44,7 +44,7 @@ pub fn render<'py>(
     if let Some(field) = &field {
         averages.iter().try_for_each(|&average| Reading::check(field, average)).or_raise()?;
     }
-    let (view, confirmed) = work(py, source.gate(nerf), progress, |engine| {
+    let (view, confirmed, colors) = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
             let probes = field.as_deref().map(|field| Probe { field, averages: &averages });
             let probes = probes.as_slice();
@@ -75,17 +75,23 @@ pub fn render<'py>(
             } else {
                 None
             };
-            let Some(field) = field.as_deref() else { return Ok((view, confirmed)) };
+            let Some(field) = field.as_deref() else { return Ok((view, confirmed, None)) };
+            let colors = field.color_spread().filter(|_| depth_error);
+            let colors = colors.map(|spread| spread.of_view(&camera, offset, &view));
             let unknowns = unknowns(field, &camera, offset, &view)?;
             let shown = view.log10_uncertainty.iter().map(|log10| shown_log10(&view, log10, &unknowns));
             view.log10_uncertainty = shown.collect();
-            Ok((view, confirmed))
+            Ok((view, confirmed, colors))
         })
     })?;
     let factor = uncertainty.and_then(|field| field.get().field.conformal().map(|conformal| conformal.factor));
     let out = pictures(py, &view, factor)?;
+    let [width, height] = view.resolution.map(|side| side as usize);
+    if let Some(colors) = colors {
+        let colors = PyArray1::from_iter(py, colors.into_iter().map(|v| v as f32));
+        out.set_item("color_spread", colors.reshape([height, width])?)?;
+    }
     if let Some(confirmed) = confirmed {
-        let [width, height] = view.resolution.map(|side| side as usize);
         out.set_item("depth_confirmed", PyArray1::from_vec(py, confirmed).reshape([height, width])?)?;
     }
     Ok(out)

@@ -13,10 +13,10 @@ mod interval;
 mod judge;
 mod measure;
 mod report;
-mod residuals;
 mod score;
 mod shown;
 mod training_cameras;
+mod training_images;
 mod training_views;
 mod truth;
 mod view;
@@ -27,10 +27,10 @@ pub use image_check::{ImageCheck, check_images, check_splat_images};
 pub use interval::Interval;
 pub use judge::{Evaluation, Judged, Prepared, Remark};
 pub use measure::Reading;
-pub use report::{Confirmed, Inside, NeverSeen, Report, Scored, ViewReport};
-pub use residuals::{TrainingImages, measure_residuals};
+pub use report::{Inside, NeverSeen, Part, Report, Scored, ViewReport};
 pub use score::{ByError, DepthError, Score};
 pub use shown::ShownModel;
+pub use training_images::{Compared, TrainingImages, compare_images};
 pub(crate) use training_views::Sighting;
 
 // The parts of an evaluation, for this crate's experiments.

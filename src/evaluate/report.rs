@@ -96,7 +96,10 @@ pub struct Scored {
     pub calibration: Option<Calibration>,
     /// The same over the pixels whose depth training views confirm, if those are known.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub confirmed: Option<Confirmed>,
+    pub confirmed: Option<Part>,
+    /// The same where the training images agree on the colour, too, if a field stores how they differ.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub photo_consistent: Option<Part>,
     /// How it detects what was never seen, if that is known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub never_seen: Option<Detection>,
@@ -108,14 +111,15 @@ pub struct Scored {
     pub field: Option<Value>,
 }
 
-/// The pixels whose depth training views confirm ([`EvaluatedView::confirmed`]).
+/// A part of the pixels.
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
-pub struct Confirmed {
+pub struct Part {
     /// Their share of all.
     pub share: f64,
-    /// Calibration over them.
-    pub calibration: Calibration,
+    /// Calibration over them, if there are any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<Calibration>,
 }
 
 /// A calibrated interval, on other views than those that it was made on.
@@ -173,13 +177,13 @@ impl Report {
                 Measure::DepthDeviation(r) | Measure::DepthPosterior(r) => (Some(&evaluator.readings[r]), None),
                 Measure::Baseline(_) => (None, None),
             };
+            let part = |part: fn(&EvaluatedView) -> &[bool]| evaluator.calibration_of(views, m, part);
             let scored = Scored {
                 name: evaluator.name(measure),
                 score: Score::new(views, m)?,
                 calibration: evaluator.calibration(views, m),
-                confirmed: evaluator
-                    .confirmed_calibration(views, m)
-                    .map(|(share, calibration)| Confirmed { share, calibration }),
+                confirmed: part(|view| &view.confirmed),
+                photo_consistent: part(|view| &view.photo_consistent),
                 never_seen: Evaluator::detection(views, m),
                 ray_average,
                 field: reading.map(|reading| facts(&reading.field)),

@@ -8,10 +8,10 @@ use super::*;
 use crate::dataset::DepthReadings;
 use crate::estimate::{Estimation, GridSettings, RaySettings};
 use crate::field::{ClosedForm, Radiance, RadianceField};
-use crate::geometry::{Aabb, Camera};
+use crate::geometry::{Aabb, Camera, Domain};
 use crate::metrics::{Calibration, ErrorKind, density_aware, ensemble_variance};
 use crate::monitor::Silent;
-use crate::posterior::Covariance;
+use crate::posterior::{Covariance, DataScale, Scale};
 use crate::render::{RayAverage, Renderer, VolumeRenderer};
 use crate::uncertainty::UncertaintyField;
 
@@ -160,13 +160,68 @@ fn depths_that_training_cameras_see_are_confirmed_and_calibrated_by_themselves()
     assert!(certain.iter().all(|count| *count > 20), "{certain:?} of {all}");
     let measures = evaluator.measures();
     let weights = measures.iter().position(|m| *m == Measure::Baseline(Baseline::RayVariance)).unwrap();
-    let (share, found) = evaluator.confirmed_calibration(&views, weights).unwrap();
-    assert_eq!(share, errors.len() as f64 / all as f64);
-    assert_eq!(found, Calibration::new(&errors, &deviations).unwrap());
-    assert_ne!(found, evaluator.calibration(&views, weights).unwrap());
+    let found = evaluator.calibration_of(&views, weights, |view| &view.confirmed).unwrap();
+    assert_eq!(found.share, errors.len() as f64 / all as f64);
+    assert_eq!(found.calibration, Calibration::new(&errors, &deviations));
+    assert_ne!(found.calibration, evaluator.calibration(&views, weights));
     // Without training cameras nothing is confirmed, and nothing refused.
     let view = without.evaluate(&truth(&ball, &from(DVec3::new(3.0, 0.0, 0.5))), 0, &Silent).unwrap();
-    assert!(view.confirmed.is_empty() && without.confirmed_calibration(&[view], 0).is_none());
+    assert!(view.confirmed.is_empty() && without.calibration_of(&[view], 0, |view| &view.confirmed).is_none());
+}
+
+/// Images of a ball that agree on the colour of its upper half, and not of its lower one.
+#[test]
+fn confirmed_depths_are_photo_consistent_where_images_agree() {
+    let ball = ClosedForm::ball();
+    let model = renderer(&ball);
+    let cameras = [-0.3, 0.0, 0.3].map(|azimuth: f64| {
+        Camera::look_at(DVec3::new(3.0 * azimuth.cos(), 3.0 * azimuth.sin(), 0.0), DVec3::ZERO, DVec3::Z, 0.7, [48; 2])
+    });
+    let images = cameras.iter().zip([0.2, 0.5, 0.8]).map(|(camera, own)| {
+        let shown = model.image(camera, 0.5, &[], &[], &Silent).unwrap();
+        let color = |(_, x): (_, DVec3)| DVec3::splat(if x.z > 0.0 { 0.5 } else { own });
+        Ok(TrueView { colors: shown.median_points(camera, 0.5).map(color).collect(), ..truth(&ball, camera) })
+    });
+    let data = DataScale::from_cameras(&cameras, 0.05, &Domain::Box(ball.bounds())).unwrap();
+    let field = Estimation::new(&ball, &cameras)
+        .rays(settings())
+        .grid(GridSettings { level: 5, scale: Scale::Data(data), ..GridSettings::default() })
+        .run()
+        .unwrap()
+        .field;
+    let plain = field.clone();
+    let field = compare_images(&model.tracer, images, field.lattice(), &Silent).unwrap().join(field).unwrap();
+    let training = TrainingViews::render(&model, &cameras, 0.5, &Silent).unwrap();
+    let reading = |field| [Reading { name: "U".into(), field, averages: Vec::new() }];
+    let (with, without) = (reading(field), reading(plain));
+    let differentiation = settings().differentiation(&ball, with[0].field.lattice()).unwrap();
+    let model = VolumeRenderer { differentiation: Some(differentiation), ..model };
+    let evaluator = Evaluator { training: Some(&training), ..Evaluator::new(&model, &with) };
+    let camera = Camera::look_at(DVec3::new(3.0, 0.2, 0.3), DVec3::ZERO, DVec3::Z, 0.7, [48; 2]);
+    let view = evaluator.evaluate(&truth(&ball, &camera), 0, &Silent).unwrap();
+    // Two cells beside the border, a vertex has pixels of one half only.
+    let border = 2.0 * ball.bounds().longest_edge() / 32.0;
+    let mut counts = [0; 2];
+    for ((&i, &confirmed), &agrees) in view.pixels.iter().zip(&view.confirmed).zip(&view.photo_consistent) {
+        assert!(confirmed || !agrees);
+        let [x, y] = [i % 48, i / 48].map(|n| n as f64 + 0.5);
+        let z = camera.ray(x, y).at(view.rendered.pixels[i].median_depth).z;
+        if confirmed && z.abs() > border {
+            assert_eq!(agrees, z > 0.0, "at a height of {z}");
+            counts[usize::from(agrees)] += 1;
+        }
+    }
+    assert!(counts.iter().all(|count| *count > 50), "{counts:?}");
+    let m = evaluator.measures().iter().position(|m| *m == Measure::DepthDeviation(0)).unwrap();
+    let agreed = view.photo_consistent.iter().filter(|is| **is).count();
+    let part = |evaluator: &Evaluator, view: &EvaluatedView| {
+        evaluator.calibration_of(std::slice::from_ref(view), m, |view| &view.photo_consistent)
+    };
+    assert_eq!(part(&evaluator, &view).unwrap().share, agreed as f64 / view.pixels.len() as f64);
+    // Of a field that was compared with no images, it is not known.
+    let evaluator = Evaluator { training: Some(&training), ..Evaluator::new(&model, &without) };
+    let view = evaluator.evaluate(&truth(&ball, &camera), 0, &Silent).unwrap();
+    assert!(view.photo_consistent.is_empty() && part(&evaluator, &view).is_none());
 }
 
 #[test]

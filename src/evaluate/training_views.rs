@@ -137,12 +137,8 @@ impl TrainingViews {
     /// surface can be moved, and not whether matter that only one image needs is a surface at all.
     #[must_use]
     pub fn confirmed(&self, camera: &Camera, pixel_offset: f64, view: &RenderedView) -> Vec<bool> {
-        let width = camera.resolution[0] as usize;
-        let is_confirmed = |(i, pixel): (usize, &Pixel)| {
-            let [x, y] = [i % width, i / width].map(|n| n as f64 + pixel_offset);
-            pixel.opacity > 0.0 && self.confirm(camera.ray(x, y).at(pixel.median_depth))
-        };
-        view.pixels.iter().enumerate().map(is_confirmed).collect()
+        let points = view.median_points(camera, pixel_offset);
+        points.map(|(pixel, x)| pixel.opacity > 0.0 && self.confirm(x)).collect()
     }
 
     /// How the cameras see the point `x`, looked at from `eye`.

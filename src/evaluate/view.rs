@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3};
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 
-use super::{Baseline, Measure, Reading, Sighting, TrainingViews, TrueView};
+use super::{Baseline, Measure, Part, Reading, Sighting, TrainingViews, TrueView};
 use crate::Result;
 use crate::metrics::{Calibration, Detection, density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
@@ -12,7 +12,7 @@ use crate::posterior::RayCoverage;
 use crate::render::{
     DepthVariance, MIN_SUPPORTING_RAYS, Probe, Probed, ProbedField, RayAverage, RenderedView, Renderer,
 };
-use crate::uncertainty::{BakedField, DepthPosterior, UncertaintyField};
+use crate::uncertainty::{BakedField, ColorSpread, DepthPosterior, UncertaintyField};
 
 /// Bytes that a reading's field may take to answer faster.
 const MAX_BAKED_BYTES: usize = 256 << 20;
@@ -69,6 +69,8 @@ pub struct EvaluatedView {
     /// `[n]`: whether training cameras [confirm](TrainingViews::confirmed) the median depth; empty if they are not
     /// known.
     pub confirmed: Vec<bool>,
+    /// `[n]`: whether the training images agree on the colour of what is confirmed, too; empty if that is not known.
+    pub photo_consistent: Vec<bool>,
     /// Pixels with a true depth where the model shows nothing. They are left out,
     /// because there is no depth to compare.
     pub empty: usize,
@@ -139,6 +141,11 @@ impl<'a> Evaluator<'a> {
         self.readings.iter().find_map(|reading| reading.field.ray_coverage())
     }
 
+    /// How differently training images show the same place, of the first reading whose field stores it.
+    fn color_spread(&self) -> Option<&ColorSpread> {
+        self.readings.iter().find_map(|reading| reading.field.color_spread())
+    }
+
     /// Renders a view with the model and all members, and compares. Advances the monitor by one per row of each.
     ///
     /// # Errors
@@ -183,6 +190,10 @@ impl<'a> Evaluator<'a> {
             self.training.iter().flat_map(|training| pixels.iter().map(|&i| sighting(training, i))).collect();
         let confirmed = self.training.map(|training| training.confirmed(camera, offset, &rendered));
         let confirmed: Vec<bool> = confirmed.iter().flat_map(|all| pixels.iter().map(|&i| all[i])).collect();
+        let colors = self.color_spread().map(|spread| spread.of_view(camera, offset, &rendered));
+        let is_consistent = |colors: &[f64], k: usize| confirmed[k] && colors[pixels[k]] <= ColorSpread::CONSISTENT;
+        let photo_consistent: Vec<bool> =
+            colors.iter().flat_map(|colors| (0..confirmed.len()).map(|k| is_consistent(colors, k))).collect();
         let spread = |i: usize| rendered.spread[i];
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut readings = rendered.log10_uncertainty.iter();
@@ -246,6 +257,7 @@ impl<'a> Evaluator<'a> {
             measures,
             never_seen,
             confirmed,
+            photo_consistent,
             empty: empty.len(),
             rendered,
         })
@@ -271,16 +283,22 @@ impl<'a> Evaluator<'a> {
         Calibration::new(&errors, &self.deviations(views, m)?)
     }
 
-    /// The same over the pixels whose depth is [confirmed](EvaluatedView::confirmed), and their share. `None` also if
-    /// the training cameras are not known.
+    /// The same over the pixels of `part`, such as those whose depth is [confirmed](EvaluatedView::confirmed). `None`
+    /// if the measure is no standard deviation of depth, or if the part is not known.
     #[must_use]
-    pub fn confirmed_calibration(&self, views: &[EvaluatedView], m: usize) -> Option<(f64, Calibration)> {
-        let confirmed: Vec<bool> = views.iter().flat_map(|view| &view.confirmed).copied().collect();
+    pub fn calibration_of(
+        &self,
+        views: &[EvaluatedView],
+        m: usize,
+        part: impl Fn(&EvaluatedView) -> &[bool],
+    ) -> Option<Part> {
+        let part: Vec<bool> = views.iter().flat_map(part).copied().collect();
         let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
         let deviations = self.deviations(views, m)?;
-        let pairs = errors.into_iter().zip(deviations).zip(&confirmed).filter(|(_, is)| **is).map(|(pair, _)| pair);
+        let pairs = errors.into_iter().zip(deviations).zip(&part).filter(|(_, is)| **is).map(|(pair, _)| pair);
         let (errors, deviations): (Vec<f64>, Vec<f64>) = pairs.unzip();
-        Some((errors.len() as f64 / confirmed.len() as f64, Calibration::new(&errors, &deviations)?))
+        let share = errors.len() as f64 / part.len() as f64;
+        (!part.is_empty()).then(|| Part { share, calibration: Calibration::new(&errors, &deviations) })
     }
 
     /// The measure of index `m` over the pixels of all views, if it is a standard deviation of depth.

@@ -75,6 +75,18 @@ pub struct RenderedView {
     pub dropped: u64,
 }
 
+impl RenderedView {
+    /// `[height · width]`: the pixels, and where their median depths lie, scene units, of the camera and the pixel
+    /// offset that the view was rendered with.
+    pub fn median_points(&self, camera: &Camera, pixel_offset: f64) -> impl Iterator<Item = (&Pixel, DVec3)> {
+        let width = self.resolution[0] as usize;
+        self.pixels.iter().enumerate().map(move |(i, pixel)| {
+            let [x, y] = [i % width, i / width].map(|n| n as f64 + pixel_offset);
+            (pixel, camera.ray(x, y).at(pixel.median_depth))
+        })
+    }
+}
+
 /// Approximate number of points of a ray per query
 /// ([`RadianceField::batch`](crate::field::RadianceField::batch)).
 const POINTS_PER_RAY: usize = 4;

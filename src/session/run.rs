@@ -12,13 +12,12 @@ use crate::estimate::{
     Audit, Checkpoint, ErrorBudget, Estimation, Goal, GridSettings, Outcome, RayError, RaySettings, Run, StepCheck,
     Subject,
 };
-use crate::evaluate::{Remark, TrainingImages, check_images, check_splat_images};
+use crate::evaluate::{Compared, Remark, TrainingImages, check_images, check_splat_images};
 use crate::geometry::{Camera, Domain, Mask, kept_pixels};
 use crate::monitor::Monitor;
 use crate::posterior::Scale;
 use crate::rays::{RaySource, SamplesWriter};
 use crate::splats::{SplatRenderer, seen_domain};
-use crate::uncertainty::Residuals;
 use crate::{Error, Result};
 
 /// Why cameras may see little of splats.
@@ -239,7 +238,7 @@ impl Prepared<'_> {
     }
 
     /// Compares the model with its training images, if they were given.
-    fn residuals(&self) -> Result<Option<Residuals>> {
+    fn compared(&self) -> Result<Option<Compared>> {
         let Some(images) = &self.session.images else { return Ok(None) };
         let Subject::Volume(field) = self.model else {
             return Err(Error::setting("--images", "a volume, whose training images are compared with it", "splats"));
@@ -247,7 +246,7 @@ impl Prepared<'_> {
         let RaySettings { background, occupancy, march_step, pixel_offset, .. } = self.session.rays;
         let settings = RaySettings { background, occupancy, march_step, pixel_offset, ..RaySettings::for_images() };
         let tracer = settings.tracer(field, 0.0, self.monitor)?;
-        images.residuals(&tracer, settings.offset_for(field), self.run.lattice(), self.monitor).map(Some)
+        images.compare(&tracer, settings.offset_for(field), self.run.lattice(), self.monitor).map(Some)
     }
 
     /// Whether the number of rays is known beforehand.
@@ -266,7 +265,7 @@ impl Prepared<'_> {
     /// If a training image cannot be read, as [`Run::finish`], or if the samples cannot be written.
     pub fn finish(self, tell: &mut dyn FnMut(Remark)) -> Result<Finished> {
         // Before the rays, so that a wrong image ends the work at once.
-        let residuals = self.residuals()?;
+        let compared = self.compared()?;
         let Self { session, run, start, step, audit, .. } = self;
         let rays = run.rays();
         if session.checkpoint.as_ref().is_some_and(|checkpoint| !checkpoint.is_restart()) {
@@ -298,8 +297,8 @@ impl Prepared<'_> {
         if let Some(writer) = session.writer.take() {
             writer.finish(progress.rays, kept_pixels(&session.cameras, &session.masks))?;
         }
-        let field = match residuals {
-            Some(residuals) => field.with_residuals(residuals)?,
+        let field = match compared {
+            Some(compared) => compared.join(field)?,
             None => field,
         };
         checks::field(&field, session.grid.pooling, tell);

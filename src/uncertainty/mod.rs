@@ -46,7 +46,7 @@ pub use tiled::TiledField;
 pub use self::{
     by_vertex::{ByVertex, RayCounts, StandardDeviations, Stored},
     depth::DepthPosterior,
-    layers::{Conformal, ResidualSums, Residuals},
+    layers::{ColorSpread, ColorSums, Conformal, ResidualSums, Residuals},
     precision::{Added, Precision},
 };
 

@@ -30,12 +30,7 @@ pub fn unknowns(
     offset: f64,
     view: &RenderedView,
 ) -> Result<Vec<Option<Unknown>>> {
-    let width = view.resolution[0] as usize;
-    let point = |i: usize, pixel: &Pixel| {
-        let [x, y] = [i % width, i / width].map(|i| i as f64 + offset);
-        camera.ray(x, y).at(pixel.median_depth).as_vec3()
-    };
-    let points: Vec<Vec3> = view.pixels.iter().enumerate().map(|(i, pixel)| point(i, pixel)).collect();
+    let points: Vec<Vec3> = view.median_points(camera, offset).map(|(_, x)| x.as_vec3()).collect();
     let unknown = |(found, pixel): (Answer, &Pixel)| match found.observability {
         _ if !found.estimate.inside => (pixel.opacity > FAINT).then_some(Unknown::Outside),
         Some(Observability::Unseen) if pixel.opacity > 0.5 => Some(Unknown::Unseen),

@@ -227,6 +227,20 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let of_them = held(&confirmed["calibration"]);
     let line = lines.next().unwrap();
     assert!(of_them.iter().all(|p| line.contains(&format!("{:.1} %", 100.0 * p))), "{line}, {of_them:?}");
+    // With images, the part on whose colour they agree has its line, too.
+    let with_images = "uncertainty m-0.safetensors --level 5 --rays 1200 --gradient auto --scale data --images set \
+        -o images.oct";
+    good(desk.path(), with_images);
+    let command = EVALUATE.replace("m.oct", "images.oct");
+    let shown: Value = serde_json::from_str(&good(desk.path(), &format!("{command} --json"))).unwrap();
+    let entries = shown["readings"].as_array().unwrap();
+    let of_images = entries.iter().find(|entry| entry["name"] == "images diagonal, depth deviation").unwrap();
+    let [seen, agreed] = ["confirmed", "photo_consistent"].map(|part| of_images[part]["share"].as_f64().unwrap());
+    assert!((0.0..=seen).contains(&agreed) && seen == share, "{agreed} of {seen}, {share}");
+    assert!(found["readings"].as_array().unwrap().iter().all(|entry| entry.get("photo_consistent").is_none()));
+    let text_of_images = good(desk.path(), &command);
+    let mut lines = text_of_images.lines().skip_while(|line| !line.contains("and training images agree on its colour"));
+    assert!(lines.next().unwrap().contains(&format!("{:.1} % of the pixels", 100.0 * agreed)), "{text_of_images}");
     // The risk is the mean error left: at least the oracle's, and chance's is near the mean error.
     let figures = |part: &str, key: &str| -> Vec<(String, f64)> {
         let entries = found[part].as_array().unwrap().iter();
@@ -260,17 +274,24 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let values: Vec<f32> = channel.sample_data.values_as_f32().collect();
     let known = values.iter().filter(|s| s.is_finite()).count();
     assert!(known > 50 && values.iter().all(|s| s.is_nan() || *s > 0.0), "{known} of {}", values.len());
-    let confirmed = |file: &str| -> Option<Vec<f32>> {
+    let channel = |file: &str, name: &str| -> Option<Vec<f32>> {
         let image = exr::prelude::read_first_flat_layer_from_file(desk.path().join(file)).unwrap();
-        let channels = image.layer_data.channel_data.list;
-        let found = channels.into_iter().find(|c| c.name.to_string() == "depth_confirmed.Z")?;
+        let found = image.layer_data.channel_data.list.into_iter().find(|c| c.name.to_string() == name)?;
         Some(found.sample_data.values_as_f32().collect())
     };
+    let confirmed = |file: &str| channel(file, "depth_confirmed.Z");
     // The same pixels as the evaluation counts, of one view; none without the deviation.
     let told = confirmed("view.exr").unwrap();
     let count = told.iter().filter(|is| **is == 1.0).count();
     assert!(count > 20 && count < told.len() && told.iter().all(|is| [0.0, 1.0].contains(is)), "{count}");
     assert!(render("data.oct -o plain.exr").status.success() && confirmed("plain.exr").is_none());
+    // How differently images show what is shown, with the deviation and of fields that know it.
+    assert!(channel("view.exr", "color_spread.V").is_none());
+    assert!(render("images.oct -o plain.exr").status.success() && channel("plain.exr", "color_spread.V").is_none());
+    assert!(render("images.oct --depth-error -o images.exr").status.success());
+    let [spread, opacity] = ["color_spread.V", "A"].map(|name| channel("images.exr", name).unwrap());
+    assert!(spread.iter().filter(|v| !v.is_nan()).count() > 20, "{spread:?}");
+    assert!(spread.iter().zip(&opacity).all(|(v, a)| v.is_nan() || *a > 0.0 && (0.0..=1.0).contains(v)));
     let width = |name: &str| image::image_dimensions(desk.path().join(name)).unwrap().0;
     assert!(width("with.png") > width("without.png"), "one panel more");
     let refused = render("m.oct --depth-error -o no.png");

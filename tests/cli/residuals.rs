@@ -60,6 +60,10 @@ fn deviations_of_depth_count_what_images_show_and_the_model_does_not() {
     assert!(info.contains("is off its training images by 0.045"), "{info}");
     let json: serde_json::Value = serde_json::from_str(&good(folder, "info joined.oct --json")).unwrap();
     assert_eq!(json["residuals"]["root_mean_square"].as_f64(), Some(residuals.mean()));
+    // From opposite sides, they show no place alike but at the rim.
+    let spread = joined.color_spread().unwrap();
+    assert_eq!((json["color_spread"]["root_mean_square"].as_f64(), spread.level()), (Some(spread.mean()), 4));
+    assert!(plain.color_spread().is_none() && info.contains("training images differ by"), "{info}");
 
     // Along a ray to the front, on top of what was there.
     let deviation = |field: &str| -> f64 {
@@ -76,14 +80,14 @@ fn deviations_of_depth_count_what_images_show_and_the_model_does_not() {
 
     // Without the matrices, by one thread, of two seeds: it stays what it is.
     good(folder, &format!("{RUN} {DATA} --images pictures --threads 1 --seed 7 -o other.oct"));
-    assert!(read("other.oct").residuals() == Some(residuals));
+    assert!(read("other.oct").residuals() == Some(residuals) && read("other.oct").color_spread() == Some(spread));
     good(folder, "merge joined.oct other.oct --keep-sums -o both.oct");
     assert!(
         read("both.oct").residuals() == Some(residuals) && joined.clone().without_sums().residuals() == Some(residuals)
     );
     // One that knows it is enough.
     good(folder, "merge plain.oct other.oct -o some.oct");
-    assert!(read("some.oct").residuals() == Some(residuals));
+    assert!(read("some.oct").residuals() == Some(residuals) && read("some.oct").color_spread() == Some(spread));
 }
 
 #[test]

@@ -12,7 +12,7 @@ use std::io::{Cursor, Read, Write};
 use super::{Kind, torch};
 
 /// Sections of containers, in the order of their parts.
-const FIELD: [&str; 12] = [
+const FIELD: [&str; 14] = [
     "masks",
     "deviations",
     "rays",
@@ -25,6 +25,8 @@ const FIELD: [&str; 12] = [
     "errors",
     "residual points",
     "residuals",
+    "color points",
+    "color spread",
 ];
 const CHECKPOINT: [&str; 5] = ["run", "keys", "sums", "surface", "ray_coverage"];
 

@@ -156,6 +156,11 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
             assert!(found >= 0.0 && found.is_finite(), "a deviation of {found} at {x}");
         }
     }
+    if let Some(spread) = field.color_spread() {
+        for (x, found) in points_around(cube).into_iter().filter_map(|x| Some((x, spread.at(x)?))) {
+            assert!(found >= 0.0 && found.is_finite(), "a spread of {found} at {x}");
+        }
+    }
     for covariance in Covariance::ALL {
         let Ok(field) = field.clone().with_covariance(covariance) else { continue };
         for (x, estimate) in points_around(cube).into_iter().map(|x| (x, field.query(x))) {

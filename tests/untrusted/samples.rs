@@ -14,7 +14,7 @@ use octobayes::geometry::{Aabb, Camera, Domain, Norm};
 use octobayes::posterior::{Covariance, Criteria, Criterion, DataScale, Pooling, Scale, VertexSums};
 use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
-use octobayes::uncertainty::{ResidualSums, UncertaintyField};
+use octobayes::uncertainty::{ColorSums, ResidualSums, UncertaintyField};
 use safetensors::tensor::{Dtype, TensorView};
 
 use super::arrays::npy;
@@ -150,7 +150,12 @@ pub fn fields() -> Vec<UncertaintyField> {
         let field = field(settings.scale(scale), cube);
         let mut sums = ResidualSums::new(field.lattice());
         (0..20).for_each(|i| sums.add(Vec3::splat(0.1 * i as f32 - 1.0), 0.01 * f64::from(i % 3)));
-        field.with_residuals(sums.finish()).unwrap()
+        let mut colors = ColorSums::new(field.lattice());
+        for red in [0.2, 0.6] {
+            colors.add_image((0..20).map(|i| (Vec3::splat(0.1 * i as f32 - 1.0), DVec3::new(red, 0.5, 0.5))));
+        }
+        let field = field.with_residuals(sums.finish()).unwrap();
+        field.with_color_spread(colors.finish().unwrap()).unwrap()
     };
     vec![
         field(small, cube),

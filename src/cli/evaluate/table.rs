@@ -3,7 +3,7 @@
 use super::Args;
 use crate::Result;
 use crate::dataset::DepthKind;
-use crate::evaluate::{CONFIRMING_VIEWS, CleanUp, Confirmed, DepthError, Interval, Report, Score, Scored};
+use crate::evaluate::{CONFIRMING_VIEWS, CleanUp, DepthError, Interval, Part, Report, Score, Scored};
 use crate::metrics::{Calibration, Detection, PROBABILITIES};
 
 /// JSON without control characters. Those that JSON lets stand in a name are obeyed by some terminals.
@@ -155,13 +155,20 @@ fn print_calibration(report: &Report, width: usize) -> Result<()> {
         )
     };
     report.calibrated_measures().try_for_each(|(name, calibration)| line(name, calibration))?;
-    let confirmed = report.readings.iter().filter_map(|scored| Some((&*scored.name, scored.confirmed.as_ref()?)));
-    for (i, (name, Confirmed { share, calibration })) in confirmed.enumerate() {
-        if i == 0 {
-            let share = 100.0 * share;
-            say!("where {CONFIRMING_VIEWS} training views see a surface at that depth, {share:.1} % of the pixels")?;
+    let seen = format!("where {CONFIRMING_VIEWS} training views see a surface at that depth");
+    type Of = fn(&Scored) -> Option<&Part>;
+    let parts: [(String, Of); 2] = [
+        (seen, |scored| scored.confirmed.as_ref()),
+        ("and training images agree on its colour".into(), |scored| scored.photo_consistent.as_ref()),
+    ];
+    for (place, part) in parts {
+        let found = report.readings.iter().filter_map(|scored| Some((&*scored.name, part(scored)?)));
+        for (i, (name, Part { share, calibration })) in found.enumerate() {
+            if i == 0 {
+                say!("{place}, {:.1} % of the pixels", 100.0 * share)?;
+            }
+            calibration.as_ref().map_or(Ok(()), |calibration| line(name, calibration))?;
         }
-        line(name, calibration)?;
     }
     for inside in &report.conformal {
         let held = &inside.interval;

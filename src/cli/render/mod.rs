@@ -38,8 +38,9 @@ const PREVIEW: u32 = 800;
 /// tools: R, G, B, A, depth.Z (median distance from the camera), uncertainty.U (scene units), log10_uncertainty.U (both
 /// NaN where A is 0.05 or less, and outside the field's box) and, with --depth-error, depth_error.Z (one standard
 /// deviation, scene units), depth_confirmed.Z if the model stores its training cameras (1 where three of them see a
-/// surface at that depth, else 0: do not rely on the deviation there) and, if the field is calibrated, depth_interval.Z
-/// (half width of the interval).
+/// surface at that depth, else 0: do not rely on the deviation there), color_spread.V if the field was computed with
+/// --images (standard deviation between the training images of the colour there; rely on the deviation where it is 0.05
+/// or less) and, if the field is calibrated, depth_interval.Z (half width of the interval).
 #[derive(clap::Args)]
 #[command(after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 \
     -o view.png")]
@@ -282,7 +283,8 @@ impl Args {
     fn picture(&self, studio: &Studio, k: usize, camera: &Camera, path: &Path) -> Result<()> {
         let write = |view: &RenderedView| {
             let (log10, confirmed) = (studio.shown_log10(camera, view)?, studio.confirmed(camera, view));
-            write_exr(path, view.resolution, channels(view, &log10, confirmed.as_deref(), studio.field))
+            let colors = studio.color_spread(camera, view);
+            write_exr(path, view.resolution, channels(view, &log10, confirmed.as_deref(), colors, studio.field))
         };
         if let (true, Some(Threshold::Log10(_))) = (self.is_exr(), self.threshold) {
             // An EXR holds the cleaned view only; to count what the threshold removes takes both views.
@@ -361,11 +363,12 @@ pub fn bar_of(field: &dyn Answers, range: Option<[f64; 2]>) -> Result<[f64; 2]> 
     Ok([low.min(prior - 0.5), prior])
 }
 
-/// The channels of the EXR, with `log10` of U, and whether depths are confirmed.
+/// The channels of the EXR, with `log10` of U, whether depths are confirmed, and how colours spread.
 fn channels(
     view: &RenderedView,
     log10: &[f64],
     confirmed: Option<&[bool]>,
+    colors: Option<Vec<f64>>,
     field: &UncertaintyField,
 ) -> Vec<(&'static str, Vec<f32>)> {
     let of_pixel = |value: &dyn Fn(&crate::render::Pixel) -> f64| view.pixels.iter().map(|p| value(p) as f32).collect();
@@ -382,6 +385,8 @@ fn channels(
     channels.extend(errors.map(|errors| ("depth_error.Z", errors)));
     let confirmed = confirmed.map(|all| all.iter().map(|is| f32::from(u8::from(*is))).collect());
     channels.extend(confirmed.map(|confirmed| ("depth_confirmed.Z", confirmed)));
+    let colors = colors.map(|spread| spread.iter().map(|&v| v as f32).collect());
+    channels.extend(colors.map(|spread| ("color_spread.V", spread)));
     let interval = |factor: f64| {
         let scaled = move |of_pixels: &Vec<f64>| of_pixels.iter().map(|s| (factor * s) as f32).collect();
         view.depth_deviation.iter().map(move |of_pixels| ("depth_interval.Z", scaled(of_pixels)))

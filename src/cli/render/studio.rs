@@ -83,6 +83,13 @@ impl Studio<'_> {
         self.training.as_ref().map(|training| training.confirmed(camera, self.offset, view))
     }
 
+    /// How differently training images show what each pixel shows, `[height · width]`; `None` if that is not to be
+    /// told.
+    pub fn color_spread(&self, camera: &Camera, view: &RenderedView) -> Option<Vec<f64>> {
+        let told = self.field.color_spread().filter(|_| !view.depth_deviation.is_empty());
+        told.map(|spread| spread.of_view(camera, self.offset, view))
+    }
+
     /// Labelled panels of both, one row each.
     pub fn rows(
         &self,

@@ -3,9 +3,11 @@
 //!
 //! A new layer is a type that implements [`Layer`], and one line of `layers!` below.
 
+mod color_spread;
 mod conformal;
 pub(super) mod error_bars;
 mod limits;
+mod point_means;
 mod ray_coverage;
 mod ray_sets;
 mod residuals;
@@ -15,6 +17,7 @@ mod tile;
 
 use serde_json::{Map, Value};
 
+pub use self::color_spread::{ColorSpread, ColorSums};
 pub use self::conformal::Conformal;
 pub use self::error_bars::{ErrorBars, ErrorSummary};
 pub use self::residuals::{ResidualSums, Residuals};
@@ -175,6 +178,8 @@ layers! {
     error_bars: ErrorBars,
     /// What training left unexplained, if deviations of depth count it.
     residuals: Residuals,
+    /// How differently training images show the same place, if they were compared.
+    color_spread: ColorSpread,
     /// An interval of depth that was calibrated for these deviations.
     conformal: Conformal,
 }

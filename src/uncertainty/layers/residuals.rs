@@ -13,9 +13,10 @@ use rustc_hash::FxHashMap;
 use serde_json::{Value, json};
 
 use super::super::file::Source;
+use super::point_means::{self, PointMeans};
 use super::{Change, Layer, Merge, Sections};
 use crate::geometry::Lattice;
-use crate::octree::{corners, morton};
+use crate::octree::corners;
 use crate::posterior::{DataScale, Scale};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
@@ -26,15 +27,11 @@ const PRIOR: f64 = 1.0;
 /// Residuals of the training images around each point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Residuals {
-    lattice: Lattice,
     /// c as a share of the longest edge.
     length_share: f64,
-    /// Mean r² over the pixels of all images that show matter.
-    mean: f32,
-    /// Vertices that some pixel showed, by the Morton code of their lattice point, ascending.
-    points: Vec<u64>,
-    /// `[points]`: mean r² around the vertex, drawn towards the mean of all as if one more pixel had it.
-    squares: Vec<f32>,
+    /// Mean r² over the pixels of all images that show matter; around a vertex, drawn towards the mean of all as if one
+    /// more pixel had it.
+    squares: PointMeans,
 }
 
 impl Residuals {
@@ -52,34 +49,28 @@ impl Residuals {
     /// Level of the lattice.
     #[must_use]
     pub fn level(&self) -> u8 {
-        self.lattice.level()
+        self.squares.lattice().level()
     }
 
     /// Root mean square residual over the pixels of all images that show matter, in colours from 0 to 1.
     #[must_use]
     pub fn mean(&self) -> f64 {
-        f64::from(self.mean).sqrt()
+        self.squares.mean().sqrt()
     }
 
     /// m, the root mean square residual around a scene point, in colours from 0 to 1. Where no training image shows
     /// matter it is that of all pixels.
     #[must_use]
     pub fn at(&self, x: Vec3) -> f64 {
-        let of = |point: [u32; 3]| {
-            let found = self.points.binary_search(&morton::encode(point));
-            f64::from(found.map_or(self.mean, |i| self.squares[i]))
-        };
-        let mean = self.lattice.coordinates(x).map_or(f64::from(self.mean), |u| {
-            let (cell, offset) = self.lattice.cell(u);
-            corners(cell, offset).into_iter().map(|(point, share)| share * of(point)).sum()
-        });
-        mean.sqrt()
+        let mean = self.squares.mean();
+        let around = self.squares.around(x).map(|(square, share)| share * square.unwrap_or(mean));
+        around.reduce(|sum, next| sum + next).unwrap_or(mean).sqrt()
     }
 
     /// c, scene units.
     #[must_use]
     pub fn length(&self) -> f64 {
-        self.length_share * DataScale::longest_edge(self.lattice.domain())
+        self.length_share * DataScale::longest_edge(self.squares.lattice().domain())
     }
 
     /// c m: the deviation of the depth of matter at a scene point that residuals there stand for, scene units.
@@ -89,49 +80,28 @@ impl Residuals {
     }
 
     fn heading(&self) -> Head {
-        Head { level: self.lattice.level(), mean: self.mean, length_share: self.length_share }
+        Head { squares: self.squares.head(), length_share: self.length_share }
     }
 
     /// Checks the contents of a file; the error names what was expected and found.
     fn checked(
         of_field: &Lattice,
-        Head { level, mean, length_share }: Head,
-        (points, squares): (Vec<u64>, Vec<f32>),
+        Head { squares, length_share }: Head,
+        contents: (Vec<u64>, Vec<f32>),
     ) -> std::result::Result<Self, (String, String)> {
-        let lattice = of_field.coarsened(Self::LEVEL);
-        if level != lattice.level() {
-            return Err((format!("level {}", lattice.level()), format!("level {level}")));
-        }
-        let most = lattice.cells_per_axis();
-        let is_inside = |code: &u64| {
-            let point = morton::decode(*code);
-            morton::encode(point) == *code && point.iter().all(|coordinate| *coordinate <= most)
-        };
-        if points.len() != squares.len() {
-            return Err((format!("a residual for each of {} vertices", points.len()), squares.len().to_string()));
-        }
-        if let Some(pair) = points.windows(2).find(|pair| pair[0] >= pair[1]) {
-            return Err(("vertices in ascending order".into(), format!("{} before {}", pair[0], pair[1])));
-        }
-        if let Some(code) = points.iter().find(|code| !is_inside(code)) {
-            return Err((format!("lattice points of level {}", lattice.level()), format!("code {code}")));
-        }
-        let is_possible = |square: &f32| *square >= 0.0 && square.is_finite();
-        if let Some(square) = squares.iter().chain([&mean]).find(|square| !is_possible(square)) {
-            return Err(("squares of residuals".into(), square.to_string()));
-        }
+        let squares = PointMeans::checked(of_field.coarsened(Self::LEVEL), squares, contents)?;
         if !(length_share >= 0.0 && length_share.is_finite()) {
             return Err(("a share of the longest edge, 0 or more".into(), length_share.to_string()));
         }
-        Ok(Self { lattice, length_share, mean, points, squares })
+        Ok(Self { length_share, squares })
     }
 }
 
 /// What the header of a field's file says of its residuals.
 #[derive(Debug, Clone, Copy, serde::Serialize, serde::Deserialize)]
 struct Head {
-    level: u8,
-    mean: f32,
+    #[serde(flatten)]
+    squares: point_means::Head,
     length_share: f64,
 }
 
@@ -148,7 +118,8 @@ impl Layer for Residuals {
     }
 
     fn sections(&self, _to_be_merged: bool) -> Sections<'_> {
-        vec![("residual points", Box::new(self.points.as_slice())), ("residuals", Box::new(self.squares.as_slice()))]
+        let (points, squares) = self.squares.contents();
+        vec![("residual points", Box::new(points)), ("residuals", Box::new(squares))]
     }
 
     fn read(head: Value, file: &mut Source) -> Result<Self> {
@@ -163,7 +134,7 @@ impl Layer for Residuals {
     }
 
     fn memory(&self) -> usize {
-        self.points.capacity() * size_of::<u64>() + self.squares.capacity() * size_of::<f32>()
+        self.squares.memory()
     }
 
     fn info(&self) -> String {
@@ -209,12 +180,10 @@ impl ResidualSums {
     #[must_use]
     pub fn finish(self) -> Residuals {
         let mean = self.all[0] / self.all[1].max(1.0);
-        let square = |[sum, count]: [f64; 2]| ((sum + PRIOR * mean) / (count + PRIOR)) as f32;
-        let mut found: Vec<(u64, f32)> =
-            self.sums.into_iter().map(|(point, sums)| (morton::encode(point), square(sums))).collect();
-        found.sort_unstable_by_key(|(code, _)| *code);
-        let (points, squares) = found.into_iter().unzip();
-        Residuals { lattice: self.lattice, length_share: Residuals::LENGTH_SHARE, mean: mean as f32, points, squares }
+        let of_vertex = |[sum, weight]: [f64; 2]| (sum + PRIOR * mean) / (weight + PRIOR);
+        let squares = self.sums.into_iter().map(|(point, sums)| (point, of_vertex(sums)));
+        let squares = PointMeans::new(self.lattice, mean, squares);
+        Residuals { length_share: Residuals::LENGTH_SHARE, squares }
     }
 }
 
@@ -234,7 +203,7 @@ impl UncertaintyField {
         let Scale::Data(_) = self.record.scale else {
             return wrong("a field in the scale of its data, which has deviations of depth", "the paper's scale");
         };
-        if residuals.lattice != self.lattice.coarsened(Residuals::LEVEL) {
+        if *residuals.squares.lattice() != self.lattice.coarsened(Residuals::LEVEL) {
             return wrong("residuals on the field's lattice", "another");
         }
         if self.layers.tile.is_some() {
@@ -296,35 +265,16 @@ mod tests {
     #[test]
     fn files_are_not_believed() {
         let found = residuals(9);
-        let (points, squares, head) = (found.points.clone(), found.squares.clone(), found.heading());
-        let read = |head, points: &[u64], squares: &[f32]| {
-            Residuals::checked(&lattice(9), head, (points.to_vec(), squares.to_vec()))
-        };
-        assert_eq!(read(head, &points, &squares).unwrap(), found);
-        let n = points.len();
-        let with = |i: usize, code: u64| {
-            let mut points = points.clone();
-            points[i] = code;
-            points
-        };
+        let (points, squares) = found.squares.contents();
+        let head = found.heading();
+        let read = |head| Residuals::checked(&lattice(9), head, (points.to_vec(), squares.to_vec()));
+        assert_eq!(read(head).unwrap(), found);
         // A field keeps the share that it was made with.
-        let own = read(Head { length_share: 0.3, ..head }, &points, &squares).unwrap();
+        let own = read(Head { length_share: 0.3, ..head }).unwrap();
         assert!((own.length() - 0.9).abs() < 1e-12, "{}", own.length());
-        let with_square = |square: f32| [&squares[1..], &[square]].concat();
-        for (head, points, squares, expected) in [
-            (Head { level: 5, ..head }, points.clone(), squares.clone(), "level 6"),
-            (Head { mean: f32::NAN, ..head }, points.clone(), squares.clone(), "squares of residuals"),
-            (Head { length_share: -0.1, ..head }, points.clone(), squares.clone(), "a share of the longest edge"),
-            (Head { length_share: f64::NAN, ..head }, points.clone(), squares.clone(), "a share of the longest edge"),
-            (head, points.clone(), squares[1..].to_vec(), "a residual for each"),
-            (head, with(0, points[1]), squares.clone(), "vertices in ascending order"),
-            (head, with(n - 1, morton::encode([65, 0, 0])), squares.clone(), "lattice points"),
-            (head, with(n - 1, u64::MAX), squares.clone(), "lattice points"),
-            (head, points.clone(), with_square(-1.0), "squares of residuals"),
-            (head, points.clone(), with_square(f32::INFINITY), "squares of residuals"),
-        ] {
-            let (said, found) = read(head, &points, &squares).unwrap_err();
-            assert!(said.contains(expected), "{said}, found {found}");
+        for length_share in [-0.1, f64::NAN, f64::INFINITY] {
+            let (said, found) = read(Head { length_share, ..head }).unwrap_err();
+            assert!(said.contains("a share of the longest edge"), "{said}, found {found}");
         }
     }
 }
