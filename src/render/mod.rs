@@ -8,6 +8,7 @@ mod jacobian;
 mod march;
 mod noise;
 mod occupancy;
+mod probe;
 mod ray_average;
 mod samples;
 mod shade;
@@ -21,10 +22,11 @@ pub use images::{Renderer, VolumeRenderer};
 pub(crate) use march::SampleDistances;
 pub use noise::DifferenceErrors;
 pub(crate) use noise::LONGEST_STEP;
+pub use probe::{MIN_SUPPORTING_RAYS, Probe, Probed, ProbedField};
 pub use ray_average::RayAverage;
 pub use samples::{RaySample, RaySamples, VisibleSegment};
 pub(crate) use trace::TracedRays;
-pub use view::{MIN_SUPPORTING_RAYS, Probe, Probed, ProbedField, RenderedView};
+pub use view::RenderedView;
 pub(crate) use view::{WeightedRays, check_size};
 
 // What only the program, Python and the experiments name.

@@ -163,9 +163,9 @@ pub struct Args {
     /// folder of the camera file. They have the size of the cameras' pictures. Their residuals are kept at the points
     /// of a lattice of at most 64 cells a side, and the deviation of depth becomes
     /// sqrt(Var + s^2 + (c residual)^2), where c is a 10th of the longest edge of the field's box, for all scenes (in
-    /// contracted space, of the part that is not). How differently the images show the same place is kept, too:
-    /// `evaluate` and `render` tell where they agree. U stays as it is. Of fields to merge, one that has them is
-    /// enough. Needs --scale data.
+    /// contracted space, of the part that is not). The field also stores how much the colours of the
+    /// images differ at each place, and `evaluate` and `render` show where they agree. U stays as it is. `merge` needs
+    /// one field that was compared with images. Needs --scale data.
     #[arg(long, value_name = "DIR", conflicts_with = "tile", help_heading = heading::STATISTICS)]
     images: Option<PathBuf>,
 
