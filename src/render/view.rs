@@ -23,7 +23,7 @@ pub struct RenderedView {
     /// of what lies within one sample: δ²/12 for samples δ apart, or a splat's own extent along the ray.
     pub spread: Vec<f64>,
     /// `[ray averages of all probes in order][height · width]`: ray averages of log10 U. NaN where nothing was hit,
-    /// except for [`RayAverage::Official`].
+    /// except for [`Official`](super::RayAverage::Official).
     pub log10_uncertainty: Vec<Vec<f64>>,
     /// `[variances of the depth probe][height · width]`: the variance of the expected depth under a posterior of
     /// displacements, squared scene units; NaN where nothing was hit.
