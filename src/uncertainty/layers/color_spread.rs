@@ -9,7 +9,6 @@
 
 use glam::{DVec3, Vec3};
 use rustc_hash::FxHashMap;
-
 use serde_json::{Value, json};
 
 use super::super::file::Source;
