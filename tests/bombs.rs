@@ -9,6 +9,7 @@ use std::path::Path;
 
 use arrays::npy;
 use octobayes::field::VoxelGrid;
+use octobayes::octree::MaxLevels;
 use octobayes::rays::SamplesReader;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use zip::write::SimpleFileOptions;
@@ -56,6 +57,12 @@ fn wrong_shapes_are_refused_without_unfolding() {
         assert!(error.contains("expected shape") || error.contains("grid points per axis"), "{error}");
         assert!(packed < 1 << 20 && taken < 1 << 20, "{packed} bytes in the file took {taken}: {error}");
     }
+    // Fine limits that stand alone: to balance each would take a thousand others.
+    let alone: Vec<u64> = (0..20_000).map(|i| ((37 * i) << 8) | 16).collect();
+    let region = Region::new(ALLOCATOR);
+    assert_eq!(MaxLevels::from_packed(16, &[&[11], &alone[..]].concat()), None);
+    let taken = region.change().bytes_allocated;
+    assert!(taken < 1 << 20, "{taken}");
     write(&path, &[("positions", &[MANY, 2]), ("jacobian", &[2, 3, 3]), ("ray", &[2]), ("rays_total", &[1])]);
     let region = Region::new(ALLOCATOR);
     assert!(SamplesReader::open(&path).is_err());

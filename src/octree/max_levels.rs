@@ -103,15 +103,20 @@ impl MaxLevels {
 
     /// Restores the limits that [`MaxLevels::packed`] wrote, which may come from an untrusted file; `None` if
     /// they are not balanced limits.
+    ///
+    /// Balance is checked, not made: to balance a fine limit that stands alone takes a thousand others.
     #[must_use]
     pub fn from_packed(finest: u8, packed: &[u64]) -> Option<Self> {
         let region = finest.saturating_sub(DEPTH);
         let (&first, packed_pairs) = packed.split_first()?;
         let pairs = || packed_pairs.iter().map(|&p| (p >> 8, (p & 255) as u8));
-        let possible =
-            first == u64::from(region) && pairs().all(|(code, level)| code >> (3 * region) == 0 && level <= finest);
-        let limits = possible.then(|| Self::balanced(finest, pairs()))?;
-        (limits.packed().as_deref() == Some(packed)).then_some(limits)
+        let are_limits = first == u64::from(region)
+            && packed_pairs.is_sorted_by(|a, b| a >> 8 < b >> 8)
+            && pairs().all(|(code, level)| code >> (3 * region) == 0 && level > region && level <= finest);
+        let limits = are_limits.then(|| Self { finest, region, levels: Some(Arc::new(pairs().collect())) })?;
+        let are_balanced =
+            pairs().all(|(code, level)| neighbors(code, region).all(|neighbor| limits.level(neighbor) + 1 >= level));
+        are_balanced.then_some(limits)
     }
 
     /// The region that contains a finest cell.
@@ -195,5 +200,10 @@ mod tests {
         assert_eq!(MaxLevels::from_packed(8, &[&packed[..1], &packed[2..]].concat()), None, "unbalanced");
         assert_eq!(MaxLevels::from_packed(8, &[3, 1 << 60]), None, "outside");
         assert_eq!(MaxLevels::from_packed(8, &[3, 5 << 8 | 200]), None, "too fine");
+        assert_eq!(MaxLevels::from_packed(8, &[3, 5 << 8 | 3]), None, "no finer than without an entry");
+        let swapped = [&packed[..1], &[packed[2], packed[1]], &packed[3..]].concat();
+        assert_eq!(MaxLevels::from_packed(8, &swapped), None, "in another order");
+        let twice = [&packed[..2], &packed[1..]].concat();
+        assert_eq!(MaxLevels::from_packed(8, &twice), None, "twice");
     }
 }
