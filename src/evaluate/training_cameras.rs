@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use super::Reading;
-use crate::dataset::{Frame, FrameSplit, Part, Selection, Views};
+use crate::dataset::{Frame, FrameSplit, Part, Selection, Views, read_masks};
 use crate::estimate::Subject;
 use crate::geometry::{Camera, NamedCamera};
 
@@ -41,10 +41,18 @@ fn recognised(views: Views, wanted: u32, size: Option<[u32; 2]>) -> Option<Vec<N
     let parts = [Selection::All, Selection::BothParts].into_iter();
     let parts = parts.filter_map(|selection| split.select(Part::Training, &selection, |_| true).ok());
     let of = |frames: Vec<Frame>| {
+        // Masks that cannot be read are not those of the run.
+        let masks = read_masks(&frames).ok()?;
         let at = |size: Option<[u32; 2]>| -> Vec<Camera> {
             frames.iter().map(|frame| size.map_or(frame.camera, |size| frame.camera.resized(size))).collect()
         };
-        let cameras = [None, size].into_iter().map(at).find(|cameras| Camera::checksum(cameras) == wanted)?;
+        let is_wanted = |cameras: &Vec<Camera>| {
+            let resized = masks.iter().zip(cameras);
+            let masks: Vec<_> =
+                resized.map(|(mask, camera)| mask.as_ref().map(|mask| mask.resized(camera.resolution))).collect();
+            Camera::checksum_with(cameras, &masks) == wanted
+        };
+        let cameras = [None, size].into_iter().map(at).find(is_wanted)?;
         Some(frames.iter().zip(cameras).map(|(frame, camera)| NamedCamera::new(&frame.name, camera)).collect())
     };
     parts.into_iter().find_map(of)

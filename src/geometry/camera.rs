@@ -4,7 +4,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::{Distortion, Ray};
+use super::{Distortion, Mask, Ray};
 
 /// Largest accepted image: 100 megapixels.
 pub(crate) const MAX_PIXELS: f64 = 1e8;
@@ -140,6 +140,21 @@ impl Camera {
         } else {
             self.folds_over()
         }
+    }
+
+    /// Checksum of everything that the rays of a run depend on: the cameras in their order, and their masks if any
+    /// camera has one.
+    #[must_use]
+    pub fn checksum_with(cameras: &[Self], masks: &[Option<Mask>]) -> u32 {
+        let cameras = Self::checksum(cameras);
+        if masks.iter().all(Option::is_none) {
+            return cameras;
+        }
+        let mut hasher = crc32fast::Hasher::new_with_initial(cameras);
+        for mask in masks {
+            hasher.update(&mask.as_ref().map_or(0, |mask| 1 | u64::from(mask.checksum()) << 1).to_le_bytes());
+        }
+        hasher.finalize()
     }
 
     /// Checksum of every number that the rays depend on; the order of the cameras counts.

@@ -100,16 +100,7 @@ impl<'a> RayStream<'a> {
     /// Checksum of everything that the rays depend on: the cameras, and their masks if they have any.
     #[must_use]
     pub fn cameras_checksum(&self) -> u32 {
-        let cameras = Camera::checksum(self.cameras);
-        let masks = self.pixels.masks();
-        if masks.is_empty() {
-            return cameras;
-        }
-        let mut hasher = crc32fast::Hasher::new_with_initial(cameras);
-        for mask in masks {
-            hasher.update(&mask.as_ref().map_or(0, |mask| 1 | u64::from(mask.checksum()) << 1).to_le_bytes());
-        }
-        hasher.finalize()
+        Camera::checksum_with(self.cameras, self.pixels.masks())
     }
 
     /// The same stream through few cameras, spread over all, if each costs as much as thousands of rays.

@@ -15,7 +15,7 @@ pub struct RunRecord {
     pub source: String,
     /// Checksum of the model's content ([`crate::open::checksum`]), wherever its file lies.
     pub model_checksum: Option<u32>,
-    /// Checksum of its cameras ([`crate::geometry::Camera::checksum`]).
+    /// Checksum of its cameras and their masks ([`crate::geometry::Camera::checksum_with`]).
     pub cameras_checksum: Option<u32>,
     /// R, the number of rays drawn, including those that hit nothing.
     pub rays: u64,
