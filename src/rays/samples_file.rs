@@ -27,8 +27,11 @@ use crate::monitor::{Monitor, check};
 use crate::render::{RaySample, RaySamples};
 use crate::{Error, Result};
 
-/// Rays per batch when reading.
+/// Rays per batch when reading, and samples after which a batch ends with its ray.
 const BATCH: usize = 512;
+const SAMPLES: usize = 1 << 17;
+/// Most samples of a ray: as many as a ray through a model may have steps.
+const MOST_SAMPLES: usize = 1 << 16;
 /// Number of batches passed on together.
 const GROUP: usize = 16;
 
@@ -188,7 +191,8 @@ impl SamplesReader {
 
         monitor.begin("samples", self.samples);
         let mut batches = vec![RaySamples::default()];
-        let mut previous = 0;
+        // Of the ray, and the place of its first sample in its batch.
+        let (mut previous, mut first) = (0, 0);
         for sample in 0..self.samples {
             let Index(ray) = self.present(rays.next_element()?, "ray", sample)?;
             if ray < previous || ray >= self.rays_total {
@@ -202,7 +206,15 @@ impl SamplesReader {
             }
             // Batches are cut only between rays, because a ray is summed as a whole.
             let last = batches.len() - 1;
-            if ray != previous && batches[last].rays.len() >= BATCH {
+            let samples = batches[last].positions.len();
+            if ray != previous {
+                first = samples;
+            } else if samples - first >= MOST_SAMPLES {
+                let expected = format!("at most {MOST_SAMPLES} samples of a ray");
+                return Err(Error::malformed(&self.path, format!("array `ray`, element {sample}"), expected, "more"));
+            }
+            if ray != previous && (batches[last].rays.len() >= BATCH || samples >= SAMPLES) {
+                first = 0;
                 monitor.advance(batches[last].positions.len() as u64);
                 if batches.len() >= GROUP {
                     check(monitor)?;
@@ -271,4 +283,44 @@ fn read_count(npz: &mut NpzReader, name: &str, path: &Path) -> Result<u64> {
     // Reading past it verifies the archive's checksum.
     stream.next_element()?;
     value.filter(|&v| v > 0).ok_or_else(|| Error::malformed(path, place(), "one integer above 0", "none or less"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::monitor::Silent;
+
+    /// A file of rays with so many samples each, and the number of samples in every batch that is read of it.
+    fn batches(rays: u64, samples: usize) -> Result<Vec<usize>> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("samples.npz");
+        let mut writer = SamplesWriter::create(&path)?;
+        for ray in 0..rays {
+            let mut batch = RaySamples::default();
+            let sample = RaySample { position: Vec3::ZERO, jacobian: [1.0; 9], weight: 0.5 };
+            (0..samples).for_each(|_| batch.push(ray, sample));
+            writer.add(&[batch])?;
+        }
+        writer.finish(rays, 1)?;
+        let mut sizes = Vec::new();
+        SamplesReader::open(&path)?.run(&Silent, |batches| {
+            sizes.extend(batches.iter().map(|batch| batch.positions.len()));
+            Ok(())
+        })?;
+        Ok(sizes)
+    }
+
+    #[test]
+    fn batches_end_by_their_rays_or_their_samples() {
+        assert_eq!(batches(1030, 3).unwrap(), [512 * 3, 512 * 3, 6 * 3]);
+        let long = SAMPLES / 4 + 1;
+        assert_eq!(batches(5, long).unwrap(), [4 * long, long]);
+    }
+
+    #[test]
+    fn a_ray_holds_no_more_samples_than_a_batch_may() {
+        assert_eq!(batches(2, MOST_SAMPLES).unwrap(), [2 * MOST_SAMPLES]);
+        let error = batches(1, MOST_SAMPLES + 1).unwrap_err().to_string();
+        assert!(error.contains("array `ray`, element 65536: expected at most 65536 samples of a ray"), "{error}");
+    }
 }
