@@ -51,6 +51,12 @@ impl PosedImage {
         Self { resolution, pixels }
     }
 
+    /// Checksum of the pixels.
+    #[must_use]
+    pub fn checksum(&self) -> u32 {
+        crc32fast::hash(self.pixels.as_flattened())
+    }
+
     /// Reads a PNG or JPEG taken by a camera of this `resolution`.
     ///
     /// # Errors

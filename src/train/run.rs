@@ -240,6 +240,8 @@ pub struct Description<S = super::TrainSettings> {
     pub views: Selection,
     /// Number of training images.
     pub images: usize,
+    /// Checksum of their pixels and masks ([`Shot::checksum`](super::Shot::checksum)).
+    pub pictures: u32,
     /// All other settings.
     pub settings: S,
     /// Space that the model covers.

@@ -1,5 +1,6 @@
 //! Training images and held-out images of a data set with camera files.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
@@ -14,8 +15,10 @@ use crate::geometry::{Aabb, Camera, Mask, NamedCamera};
 use crate::monitor::{Monitor, check};
 use crate::{Error, Result};
 
-/// Half edge of the cube around NeRF-synthetic scenes, and of instant-ngp's unit cube: 0.5 / 0.33.
-const HALF_EDGE: f64 = 0.5 / 0.33;
+/// instant-ngp's factor for NeRF data sets.
+const SCALE: f64 = 0.33;
+/// Half edge of the cube around NeRF-synthetic scenes, and of instant-ngp's unit cube.
+const HALF_EDGE: f64 = 0.5 / SCALE;
 
 /// A picture and the camera that took it.
 #[derive(Debug, Clone)]
@@ -35,6 +38,17 @@ impl Shot {
     #[must_use]
     pub fn named_camera(&self) -> NamedCamera {
         NamedCamera { name: self.name.clone(), camera: self.camera, is_masked: self.mask.is_some() }
+    }
+
+    /// Checksum of pictures and masks, in their order.
+    #[must_use]
+    pub fn checksum(shots: &[Self]) -> u32 {
+        let mut checksum = crc32fast::Hasher::new();
+        for shot in shots {
+            checksum.update(&shot.image.checksum().to_le_bytes());
+            checksum.update(&shot.mask.as_ref().map_or(0, Mask::checksum).to_le_bytes());
+        }
+        checksum.finalize()
     }
 
     /// The same picture with fewer pixels, each the mean of as many as it covers.
@@ -92,10 +106,22 @@ pub struct DatasetFiles {
     pub bounds: Aabb,
 }
 
+/// Keys of instant-ngp that say where the scene lies. Its cube, of edge `aabb_scale` around ½, holds `scale` x +
+/// `offset`.
 #[derive(Deserialize)]
 struct SceneBox {
     aabb: Option<[[f64; 3]; 2]>,
     aabb_scale: Option<f64>,
+    scale: Option<f64>,
+    offset: Option<Offset>,
+}
+
+/// An offset along each axis, or the same along all.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Offset {
+    Same(f64),
+    Each([f64; 3]),
 }
 
 impl DatasetFiles {
@@ -121,9 +147,9 @@ impl DatasetFiles {
         let all = &Selection::All;
         let train = split.select(Part::Training, all, |_| true)?;
         let held_out = match test_partner(&path) {
-            Some(partner) => FrameSplit::new(Views::read(&partner, None)?).select(Part::HeldOut, all, has_image)?,
+            Some(partner) => FrameSplit::new(Views::read(&partner, None)?).matching(Part::HeldOut, all, has_image)?,
             // A file of one part has nothing to spare.
-            None => split.select(Part::HeldOut, all, |frame| !train.contains(frame))?,
+            None => split.matching(Part::HeldOut, all, other_than(&train))?,
         };
         let (bounds, missing) = (scene_box(&path)?, split.missing());
         Ok(Self { path, split, train, held_out, missing, bounds })
@@ -144,13 +170,12 @@ impl DatasetFiles {
                 "none",
             ));
         }
-        self.train = self.split.select(Part::Training, selection, keep)?;
+        self.train = self.split.matching(Part::Training, selection, keep)?;
         if self.train.is_empty() {
             let expected = "indices of images taken from that half";
             return Err(Error::setting("training views", expected, "none of them"));
         }
-        let train = &self.train;
-        self.held_out.retain(|frame| !train.contains(frame));
+        self.held_out.retain(other_than(&self.train));
         Ok(())
     }
 
@@ -208,22 +233,82 @@ fn has_image(frame: &Frame) -> bool {
     frame.image.exists()
 }
 
-/// `aabb` of the camera file (a COLMAP model has none), else instant-ngp's unit cube around the origin times
-/// `aabb_scale`.
+/// Whether a frame has another image than all of these.
+fn other_than(frames: &[Frame]) -> impl Fn(&Frame) -> bool + use<> {
+    let images: HashSet<PathBuf> = frames.iter().map(|frame| frame.image.clone()).collect();
+    move |frame| !images.contains(&frame.image)
+}
+
+/// `aabb` of the camera file, else instant-ngp's cube: of edge `aabb_scale`, in its coordinates `scale` x + `offset`. A
+/// COLMAP model and a list of cameras have none of these keys.
 fn scene_box(path: &Path) -> Result<Aabb> {
     if Views::files(path) != [path] {
         return Ok(Aabb::centered_cube(HALF_EDGE));
     }
     let text = crate::io::read_text(path)?;
+    if text.trim_start().starts_with('[') {
+        return Ok(Aabb::centered_cube(HALF_EDGE));
+    }
+    let place = "`aabb`, `aabb_scale`, `scale`, `offset`";
     let found: SceneBox = serde_json::from_str(&text)
-        .map_err(|e| Error::malformed(path, "`aabb`, `aabb_scale`", "corners and a number", e.to_string()))?;
+        .map_err(|e| Error::malformed(path, place, "corners, numbers and a position", e.to_string()))?;
     if let Some([min, max]) = found.aabb {
         return Aabb::new(min.into(), max.into())
             .map_err(|e| Error::malformed(path, "`aabb`", "min < max", e.to_string()));
     }
-    let scale = found.aabb_scale.unwrap_or(1.0);
-    if !(scale > 0.0 && scale <= 1024.0) {
-        return Err(Error::malformed(path, "`aabb_scale`", "above 0 and at most 1024", scale.to_string()));
+    let within = |key: &str, value: f64, most: f64| {
+        let found = || Error::malformed(path, key, format!("above 0 and at most {most}"), value.to_string());
+        (value > 0.0 && value <= most).then_some(value).ok_or_else(found)
+    };
+    let edge = within("`aabb_scale`", found.aabb_scale.unwrap_or(1.0), 1024.0)?;
+    let scale = within("`scale`", found.scale.unwrap_or(SCALE), 1e6)?;
+    let offset = match found.offset {
+        None => DVec3::splat(0.5),
+        Some(Offset::Same(offset)) => DVec3::splat(offset),
+        Some(Offset::Each(offset)) => offset.into(),
+    };
+    let (middle, half) = ((0.5 - offset) / scale, 0.5 * edge / scale);
+    Aabb::new(middle - half, middle + half)
+        .map_err(|e| Error::malformed(path, "`offset`", "a finite position", e.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> std::result::Result<[DVec3; 2], String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cameras.json");
+        std::fs::write(&path, text).unwrap();
+        scene_box(&path).map(|found| [found.min(), found.max()]).map_err(|e| e.to_string())
     }
-    Ok(Aabb::centered_cube(HALF_EDGE * scale))
+
+    /// instant-ngp's cube holds `scale` x + `offset`: its corners are found by solving for x.
+    #[test]
+    fn the_box_is_where_instant_ngp_has_it() {
+        let near = |text: &str, expected: [DVec3; 2]| {
+            let found = read(text).unwrap();
+            let off = found.iter().zip(expected).map(|(a, b)| (*a - b).abs().max_element()).fold(0.0, f64::max);
+            assert!(off < 1e-12, "{text}: {found:?}");
+        };
+        let cube = |half: f64| [DVec3::splat(-half), DVec3::splat(half)];
+        near("{}", cube(0.5 / 0.33));
+        near("[{\"id\": 0}]", cube(0.5 / 0.33));
+        near(r#"{"aabb_scale": 4}"#, cube(2.0 / 0.33));
+        near(r#"{"scale": 0.1}"#, cube(5.0));
+        near(r#"{"scale": 0.1, "aabb_scale": 2, "offset": 0.5}"#, cube(10.0));
+        near(r#"{"scale": 0.5, "offset": [0.5, 0.5, 0.2]}"#, [DVec3::new(-1.0, -1.0, -0.4), DVec3::new(1.0, 1.0, 1.6)]);
+        near(
+            r#"{"aabb": [[-1, -2, -3], [1, 2, 3]], "scale": 0.1}"#,
+            [DVec3::new(-1.0, -2.0, -3.0), DVec3::new(1.0, 2.0, 3.0)],
+        );
+        for (text, words) in [
+            (r#"{"scale": 0}"#, "`scale`: expected above 0"),
+            (r#"{"aabb_scale": -1}"#, "`aabb_scale`: expected above 0"),
+            (r#"{"offset": "left"}"#, "`offset`: expected corners"),
+        ] {
+            let error = read(text).unwrap_err();
+            assert!(error.contains(words), "{error}");
+        }
+    }
 }

@@ -135,7 +135,8 @@ pub struct Args {
 
     /// Box of the scene: x0,y0,z0,x1,y1,z1 in scene units; a hash grid models nothing outside,
     /// splats begin within [default: `aabb` of the
-    /// camera file, else instant-ngp's cube of edge 3.03 around the origin, times `aabb_scale`]
+    /// camera file, else instant-ngp's cube: of edge 3.03 times `aabb_scale` around the origin, unless `scale` and
+    /// `offset` say otherwise]
     #[arg(
         long = "box",
         value_name = "BOX",
@@ -228,8 +229,8 @@ impl Args {
         files.select(&self.views.clone().unwrap_or_default(), None)?;
         announce!("note: {}", files.describe());
         let domain = self.domain(&files)?;
-        let members = (0..self.members).map(|k| self.member(k, &files)).collect::<Result<Vec<_>>>()?;
         let [train, held_out] = files.load(bars)?;
+        let members = (0..self.members).map(|k| self.member(k, &files, &train)).collect::<Result<Vec<_>>>()?;
         check_framing(&train, &domain)?;
         let mut models = Vec::new();
         for member in &members {
@@ -278,7 +279,7 @@ impl Args {
     }
 
     /// The k-th model.
-    fn member(&self, k: u64, files: &DatasetFiles) -> Result<Member> {
+    fn member(&self, k: u64, files: &DatasetFiles, train: &[Shot]) -> Result<Member> {
         let settings = TrainSettings {
             config: HashGridConfig { log2_hashmap_size: self.log2_hashmap_size, ..HashGridConfig::default() },
             seed: self.seed.wrapping_add(k),
@@ -288,7 +289,7 @@ impl Args {
         };
         let path = self.member_file(k);
         let state = state_file(&path);
-        let description = self.description(files, settings, self.domain(files)?)?;
+        let description = self.description(files, train, settings, self.domain(files)?)?;
         let key = description.to_string();
         let state = StateFile { path: state, key, every: StateFile::EVERY };
         // A restart replaces this file, so it must not be another one.
@@ -302,6 +303,7 @@ impl Args {
     fn description<S: Serialize>(
         &self,
         files: &DatasetFiles,
+        train: &[Shot],
         settings: S,
         domain: Domain,
     ) -> Result<serde_json::Value> {
@@ -314,7 +316,8 @@ impl Args {
             dataset: files.path.display().to_string(),
             cameras: Description::checksum(&files.path)?,
             views: self.views.clone().unwrap_or_default(),
-            images: files.names().len(),
+            images: train.len(),
+            pictures: Shot::checksum(train),
             settings,
             domain,
             budget,

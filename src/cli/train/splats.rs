@@ -192,7 +192,7 @@ impl Args {
         domain: Domain,
         train: &[Shot],
     ) -> Result<StateFile> {
-        let mut description = self.description(files, settings, domain)?;
+        let mut description = self.description(files, train, settings, domain)?;
         description["resolution"] = json!(train[0].camera.resolution);
         let path = state_file(&self.output);
         if self.restart && path.exists() {
