@@ -118,6 +118,22 @@ impl FrameSplit {
     /// # Errors
     /// If there are no such frames, or if one of them has no image.
     pub fn select(&self, part: Part, selection: &Selection, keep: impl Fn(&Frame) -> bool) -> Result<Vec<Frame>> {
+        let frames = self.matching(part, selection, keep)?;
+        if frames.is_empty() {
+            let expected = match part {
+                Part::Training => "frames that are for training",
+                Part::HeldOut => "frames that are held out, or for training",
+            };
+            return Err(Error::malformed(&self.path, "frames", expected, format!("none of {}", self.total)));
+        }
+        Ok(frames)
+    }
+
+    /// The same frames, which may be none.
+    ///
+    /// # Errors
+    /// If one of them has no image.
+    pub fn matching(&self, part: Part, selection: &Selection, keep: impl Fn(&Frame) -> bool) -> Result<Vec<Frame>> {
         let mut frames = match selection {
             Selection::Indices(indices) => self.numbered(indices)?,
             Selection::BothParts => self.frames.iter().map(|(frame, _)| frame).collect(),
@@ -350,6 +366,25 @@ mod tests {
         );
         assert_eq!(select(Part::Training, &Selection::BothParts).len(), 20);
         assert_eq!(names(&select(Part::Training, &Selection::Indices(vec![15]))), ["r_15"]);
+    }
+
+    #[test]
+    fn a_file_that_leaves_no_frame_is_refused() {
+        let (folder, _) = split("transforms.json", &(0..20).collect::<Vec<usize>>());
+        let path = folder.path().join("transforms.json");
+        let mut file: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+        file["n_frames"] = 0.into();
+        std::fs::write(&path, file.to_string()).unwrap();
+        let split = FrameSplit::new(Views::read(&path, Some([8, 8])).unwrap());
+        for part in [Part::Training, Part::HeldOut] {
+            let error = split.select(part, &Selection::All, |_| true).unwrap_err().to_string();
+            assert!(
+                error.contains("frames: expected frames that are") && error.ends_with("found none of 20"),
+                "{error}"
+            );
+            assert_eq!(split.matching(part, &Selection::All, |_| true).unwrap(), []);
+        }
+        assert_eq!(split.select(Part::HeldOut, &Selection::BothParts, |_| true).unwrap().len(), 20);
     }
 
     #[test]

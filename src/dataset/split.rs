@@ -1,6 +1,7 @@
 //! The purpose of the frames of a camera file: training, testing, or unstated.
 
 use std::cmp::Ordering;
+use std::collections::{HashMap, HashSet};
 use std::path::{Component, Path, PathBuf};
 
 use super::views::{Frame, Purpose};
@@ -35,10 +36,20 @@ impl Lists {
         if self.training.is_some() || self.held_out.is_some() {
             let others = if self.training.is_some() { Purpose::Unused } else { Purpose::Training };
             frames.iter_mut().for_each(|frame| frame.purpose = Some(others));
+            let mut of_name: HashMap<PathBuf, Vec<usize>> = HashMap::new();
+            for (i, frame) in frames.iter().enumerate() {
+                of_name.entry(plain(folder, &frame.name)).or_default().push(i);
+            }
             let lists = [(&self.held_out, "held-out", Purpose::HeldOut), (&self.training, "train", Purpose::Training)];
             for (names, list, purpose) in lists {
-                for name in names.iter().flatten() {
-                    set(name, list, purpose, path, folder, frames)?;
+                let mut seen = HashSet::new();
+                for name in names.iter().flatten().filter(|name| seen.insert(*name)) {
+                    let found = of_name.get(&plain(folder, name)).ok_or_else(|| {
+                        let (place, expected) =
+                            (format!("list of {list} frames"), "names of frames, as in their `file_path`");
+                        Error::malformed(path, place, expected, format!("`{name}`"))
+                    })?;
+                    found.iter().for_each(|&i| frames[i].purpose = Some(purpose));
                 }
             }
         }
@@ -52,18 +63,6 @@ impl Lists {
         }
         Ok(())
     }
-}
-
-/// Sets the purpose of the frames of a name.
-fn set(name: &str, list: &str, purpose: Purpose, path: &Path, folder: &Path, frames: &mut [Frame]) -> Result<()> {
-    let wanted = plain(folder, name);
-    let mut found = frames.iter_mut().filter(|frame| plain(folder, &frame.name) == wanted).peekable();
-    if found.peek().is_none() {
-        let place = format!("list of {list} frames");
-        return Err(Error::malformed(path, place, "names of frames, as in their `file_path`", format!("`{name}`")));
-    }
-    found.for_each(|frame| frame.purpose = Some(purpose));
-    Ok(())
 }
 
 /// The path of a name, whichever way its slashes lean.

@@ -15,6 +15,8 @@ use crate::{Error, Result};
 pub const HALF_HEIGHT: f64 = 0.75;
 /// Maximal distance of a placed mesh from the vertical axis.
 pub const RADIUS: f64 = 0.75;
+/// Largest rounding of positions, in lengths of the mesh: less than a step of depths of 16 bits.
+const ROUNDING: f64 = 1e-5;
 /// Maximal number of triangles: a scene of about 20 GB.
 const MAX_FACES: usize = 100_000_000;
 
@@ -119,7 +121,21 @@ impl Mesh {
             faces.push(face);
         }
         let vertices = data.position.iter().map(|v| DVec3::from(v.map(f64::from))).collect();
-        Self::new(vertices, faces).map_err(|(expected, found)| Error::malformed(path, "mesh", expected, found))
+        let malformed = |(expected, found): (String, String)| Error::malformed(path, "mesh", expected, found);
+        let mesh = Self::new(vertices, faces).map_err(malformed)?;
+        let [low, high] = mesh.extent();
+        let (away, length) = (low.abs().max(high.abs()).max_element(), (high - low).max_element());
+        if away * f64::from(f32::EPSILON) > ROUNDING * length {
+            let expected = "a mesh beside its origin, as positions are read as f32; shift it there".into();
+            return Err(malformed((expected, format!("one of length {length}, {away} away"))));
+        }
+        Ok(mesh)
+    }
+
+    /// The least and the largest coordinates of its vertices, without those that no face uses.
+    fn extent(&self) -> [DVec3; 2] {
+        let used = || self.faces.iter().flatten().map(|&i| self.vertices[i as usize]);
+        [used().fold(DVec3::INFINITY, DVec3::min), used().fold(DVec3::NEG_INFINITY, DVec3::max)]
     }
 
     /// Rotates, scales and shifts the mesh into the scene box.
@@ -128,8 +144,8 @@ impl Mesh {
         let turned: Vec<DVec3> = self.vertices.iter().map(|&v| up.turn(v)).collect();
         // Vertices that no face uses do not count.
         let used = || self.faces.iter().flatten().map(|&i| turned[i as usize]);
-        let low = used().fold(DVec3::INFINITY, DVec3::min);
-        let high = used().fold(DVec3::NEG_INFINITY, DVec3::max);
+        let [a, b] = self.extent().map(|corner| up.turn(corner));
+        let (low, high) = (a.min(b), a.max(b));
         let middle = 0.5 * (low + high);
         let radius = used().map(|v| (v - middle).truncate().length()).fold(0.0, f64::max);
         // A face with an area has an extent along some axis, so at least one of the two quotients is finite.
@@ -255,6 +271,14 @@ mod tests {
             assert!(error.contains(expected) && error.contains("x.obj: "), "{error}\n  should say: {expected}");
         }
         assert!(Mesh::read(Path::new("no.obj")).unwrap_err().to_string().contains("cannot read"));
+    }
+
+    #[test]
+    fn meshes_that_f32_would_round_are_refused() {
+        let at = |x: f64| read(format!("v {x} 0 0\nv {} 0 0\nv {x} 2 0\nf 1 2 3\n", x + 1.0).as_bytes());
+        assert!(at(100.0).is_ok(), "rounded to 8e-6");
+        let error = at(500_000.0).unwrap_err().to_string();
+        assert!(error.contains("a mesh beside its origin") && error.contains("length 2, 500001 away"), "{error}");
     }
 
     #[test]

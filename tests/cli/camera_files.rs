@@ -179,10 +179,12 @@ fn keys_that_nobody_reads_are_named_once() {
     desk.cameras(|file| {
         file["fancy_lens"] = json!(3);
         file["aabb_scale"] = json!(2);
+        file["scale"] = json!(0.1);
         (0..4).for_each(|i| file["frames"][i]["tilt"] = json!(0.5));
     });
     let (_, said) = desk.seen("");
     let line = "note: t.json: keys that are not read: `fancy_lens`, `tilt` (of frames)";
     assert_eq!(said.lines().filter(|l| *l == line).count(), 1, "{said}");
     assert!(!said.contains("aabb_scale"), "{said}");
+    assert!(said.contains("`scale` and `offset` place the scene in instant-ngp's cube"), "{said}");
 }

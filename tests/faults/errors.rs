@@ -324,6 +324,7 @@ impl Desk {
             self.write(&format!("{folder}/images.txt"), (0..images).map(image).collect::<String>());
         }
         self.write("degrees.json", frame("\"camera_angle_x\": 40", pose));
+        self.write("unused.json", frame("\"fl_x\": 20, \"w\": 16, \"h\": 16, \"n_frames\": 0", pose));
         self.write("singular.json", frame(angle, "[[0,0,0,1],[0,0,0,2],[0,0,0,3],[0,0,0,1]]"));
         self.write("sheared.json", frame(angle, "[[1,0,0,0],[0.5,1,0,0],[0,0,1,3],[0,0,0,1]]"));
         self.write("transposed.json", frame(angle, "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,3,1]]"));
@@ -372,6 +373,7 @@ impl Desk {
         self.write("words.obj", format!("{corners}f 1 2 three\n"));
         self.write("points.obj", corners);
         self.write("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n");
+        self.write("far.obj", "v 4999999 0 0\nv 5000000 0 0\nv 5000000 1 0\nf 1 2 3\n");
         self.write("nan.obj", "v 0 0 nan\nv 1 0 0\nv 1 1 0\nf 1 2 3\n");
     }
 

@@ -67,12 +67,14 @@ const HARMLESS_IN_FRAMES: [&str; 15] = [
     "normal_file_path",
     "image_id",
 ]; // fmt: skip
+/// Keys of a file that say where the scene lies in instant-ngp's cube.
+const PLACING: [&str; 2] = ["scale", "offset"];
 /// Keys of a file that change no ray.
 const HARMLESS_IN_FILES: [&str; 24] = [
     "aabb_scale",
     "aabb",
-    "scale",
-    "offset",
+    PLACING[0],
+    PLACING[1],
     "render_aabb",
     "up",
     "envmap",
@@ -179,6 +181,13 @@ impl RawFile {
             parts.into_iter().filter(|(keys, _)| !keys.is_empty()).map(|(keys, of)| keys + of).collect();
         if !named.is_empty() {
             notes.push(format!("keys that are not read: {}", named.join(", ")));
+        }
+        if PLACING.iter().any(|key| self.unknown.contains_key(*key)) {
+            notes.push(
+                "`scale` and `offset` place the scene in instant-ngp's cube: `train` takes its box from them; a \
+                 Plenoptic PNG is read with 0.33 and 0.5 in their place"
+                    .into(),
+            );
         }
         if frames.iter().any(|frame| frame.time != frames[0].time) {
             notes.push("frames differ in `time`; the scene is taken to stand still".into());
