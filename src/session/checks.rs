@@ -5,11 +5,14 @@ use crate::estimate::CoverageCheck;
 use crate::evaluate::Remark;
 use crate::geometry::{Camera, Mask, kept_pixels};
 use crate::posterior::Pooling;
+use crate::splats::{NEAR, Splats, share_too_near};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// Fewer rays per vertex than this gain from pooling (`experiments/speed_vs_error.md`).
 const MIN_RAYS_PER_VERTEX: u64 = 4;
+/// A share of splats that are too near to be drawn, above which they are no mere floaters.
+const MOST_TOO_NEAR: f64 = 0.02;
 
 /// Refuses masks that leave nothing. Notes what they leave out.
 pub fn masks(views: &Views, masks: &[Option<Mask>], tell: &mut dyn FnMut(Remark)) -> Result<()> {
@@ -52,6 +55,18 @@ pub fn sight(sight: &CoverageCheck, others: &[&str], tell: &mut dyn FnMut(Remark
     }
     tell(Remark::Warning(format!("the cameras see little of the model: {measured}; likely causes: {causes}")));
     Ok(())
+}
+
+/// Warns of splats so near to their cameras that they are not drawn, if they are more than a few floaters.
+pub fn near(splats: &Splats, cameras: &[Camera], tell: &mut dyn FnMut(Remark)) {
+    let share = share_too_near(splats, cameras);
+    if share > MOST_TOO_NEAR {
+        tell(Remark::Warning(format!(
+            "{:.0} % of the splats in front of the cameras are nearer than {NEAR} scene units and not drawn, as in the \
+             original code; gsplat and nerfstudio draw from 0.01: scale splats and cameras up",
+            100.0 * share
+        )));
+    }
 }
 
 /// Notes what is odd about a finished field.

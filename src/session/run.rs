@@ -126,6 +126,7 @@ impl Session {
         let start = Instant::now();
         if let Subject::Splats(splats) = model {
             splats.notes().iter().for_each(|note| tell(Remark::Note(note.clone())));
+            checks::near(splats, &self.cameras, tell);
         }
         checks::masks(&self.views, &self.masks, tell)?;
         let domain = self.domain.map_or_else(|| self.covered(model, monitor, tell), Ok)?;

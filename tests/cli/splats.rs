@@ -305,6 +305,57 @@ fn splats_are_judged_like_volumes() {
     refused(folder, &format!("{judge} --training-depth depth"), &["--training-depth", "training cameras"]);
 }
 
+/// Masks belong to the cameras by which a field knows what its splats were trained on.
+#[test]
+fn training_cameras_with_masks_are_recognised() {
+    let folder = folder();
+    let folder = folder.path();
+    write_held_out(folder);
+    image::GrayImage::from_fn(48, 40, |x, _| image::Luma([if x < 6 { 0 } else { 255 }]))
+        .save(folder.join("mask.png"))
+        .unwrap();
+    let cameras = folder.join("transforms.json");
+    let mut file: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&cameras).unwrap()).unwrap();
+    file["frames"][2]["mask_path"] = "mask.png".into();
+    std::fs::write(&cameras, file.to_string()).unwrap();
+    good(folder, &format!("{RUN} -o scene.oct"));
+    let judge = format!("evaluate scene.ply scene.oct {JUDGE}");
+    let out = good(folder, &judge);
+    assert!(out.contains("angle to a training view"), "{out}");
+    // With another mask they are other cameras.
+    file["frames"][1]["mask_path"] = "mask.png".into();
+    std::fs::write(&cameras, file.to_string()).unwrap();
+    assert!(!good(folder, &judge).contains("angle to a training view"));
+}
+
+#[test]
+fn splats_too_near_to_be_drawn_are_warned_of() {
+    let folder = folder();
+    let folder = folder.path();
+    let said = |args: &str| String::from_utf8_lossy(&run(folder, args).stderr).to_string();
+    assert!(!said(&format!("{RUN} -o scene.oct")).contains("not drawn"));
+    // A tenth of the distances: the nearer half of the ball is at 0.15 scene units.
+    let small = ball(|_| 0.0);
+    let means = small.means().iter().map(|x| 0.1 * *x).collect();
+    let scales = small.log_scales().iter().map(|x| *x + 0.1_f32.ln()).collect();
+    let count = small.len();
+    let rotations = (0..count).map(|i| small.rotation(i)).collect();
+    let opacities = (0..count).map(|i| 1.0 + (i % 5) as f32).collect();
+    let colors = vec![0.2; 3 * count];
+    let small = Splats::new(means, scales, rotations, opacities, colors, 0, RenderMode::Classic).unwrap();
+    small.write_ply(&folder.join("small.ply"), &[], &[]).unwrap();
+    let cameras = octobayes::dataset::Views::read(&folder.join("transforms.json"), None).unwrap().frames;
+    let nearer = |frame: octobayes::dataset::Frame| {
+        let position = 0.1 * frame.camera.position;
+        (frame.name, Camera { position, ..frame.camera })
+    };
+    let nearer: Vec<_> = cameras.into_iter().map(nearer).collect();
+    octobayes::dataset::write_transforms(&folder.join("near.json"), &nearer).unwrap();
+    let args = RUN.replace("scene.ply", "small.ply").replace("transforms.json", "near.json");
+    let warning = said(&format!("{args} -o small.oct"));
+    assert!(warning.contains("nearer than 0.2 scene units and not drawn"), "{warning}");
+}
+
 #[test]
 fn images_beside_the_cameras_are_compared_with_the_splats() {
     let folder = folder();

@@ -3,6 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::project::Projector;
 use super::{Hits, SplatRenderer, Use};
 use crate::Result;
 use crate::geometry::{Aabb, Camera, Domain, Norm};
@@ -68,6 +69,21 @@ pub fn boxed(points: &[(DVec3, f64)], beyond: f64) -> Option<Aabb> {
     solid(low - margin, high + margin)
 }
 
+/// Sixteen of the cameras, evenly spread, or all.
+fn some(cameras: &[Camera]) -> impl Iterator<Item = &Camera> {
+    let used = cameras.len().min(CAMERAS);
+    (0..used).map(move |i| &cameras[i * cameras.len() / used])
+}
+
+/// The share of the splats in front of `cameras` that are nearer than [`NEAR`](super::NEAR), where the original code
+/// draws none, though other programs do.
+#[must_use]
+pub fn share_too_near(splats: &Splats, cameras: &[Camera]) -> f64 {
+    let counts = some(cameras).map(|camera| Projector::new(splats, camera).too_near());
+    let [all, near] = counts.fold([0, 0], |[a, b], [c, d]| [a + c, b + d]);
+    near as f64 / all.max(1) as f64
+}
+
 /// The space in which `cameras` see splats: the default domain of their uncertainty.
 ///
 /// Sixteen of the cameras are looked through. Normally it is a box: along each axis it holds the middle 99 % of what
@@ -81,8 +97,7 @@ pub fn seen_domain(renderer: &SplatRenderer, cameras: &[Camera], monitor: &dyn M
     SplatRenderer::check_cameras(cameras)?;
     let splats = renderer.splats();
     let mut weights = vec![0.0_f64; splats.len()];
-    let used = cameras.len().min(CAMERAS);
-    for camera in (0..used).map(|i| &cameras[i * cameras.len() / used]) {
+    for camera in some(cameras) {
         check(monitor)?;
         let view = renderer.prepare(camera, Use::Colors);
         let stride = ((camera.pixels() as f64 / PIXELS).sqrt() as u32).max(1);

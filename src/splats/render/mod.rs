@@ -21,12 +21,13 @@ mod tests;
 mod tiles;
 
 pub use composite::{Hit, Hits};
-pub use extent::seen_domain;
 #[cfg(feature = "train")]
 pub use extent::{boxed, middle};
+pub use extent::{seen_domain, share_too_near};
 pub(super) use harmonics::color;
 #[cfg(feature = "cli")]
 pub use project::FAINTEST;
+pub use project::NEAR;
 pub use tiles::tile_of;
 
 use glam::{DMat3, DVec3, Vec3};

@@ -15,7 +15,7 @@ use crate::splats::{RenderMode, Splats};
 /// Variance by which every splat grows on the image, pixels²: about what one pixel's width blurs.
 const DILATION: f64 = 0.3;
 /// Splats nearer than this are not drawn, scene units along the view axis: as in the original code.
-const NEAR: f64 = 0.2;
+pub const NEAR: f64 = 0.2;
 /// Half angles to which the Jacobian's x/z and y/z are limited.
 const BEYOND: f64 = 1.3;
 /// Least opacity that is drawn.
@@ -95,6 +95,22 @@ fn dilated([a, b, c]: [f64; 3]) -> [f64; 3] {
 }
 
 impl<'a> Projector<'a> {
+    /// The number of splats whose centres are on the image, and how many of them are too near to be drawn.
+    pub fn too_near(&self) -> [usize; 2] {
+        let on_image = |i: &usize| {
+            let t = self.to_camera(*i);
+            let at = self.focal * DVec2::new(t.x, t.y) / t.z + self.center;
+            let is_on_image = t.z > 0.0 && at.cmpge(DVec2::ZERO).all() && at.cmplt(self.resolution).all();
+            is_on_image.then_some(t.z <= NEAR)
+        };
+        let (mut all, mut near) = (0, 0);
+        for is_near in (0..self.splats.len()).filter_map(|i| on_image(&i)) {
+            all += 1;
+            near += usize::from(is_near);
+        }
+        [all, near]
+    }
+
     /// The splats in front of a camera without distortion.
     pub fn new(splats: &'a Splats, camera: &Camera) -> Self {
         let [right, up, back] = [camera.axes.x_axis, camera.axes.y_axis, camera.axes.z_axis];
@@ -112,8 +128,13 @@ impl<'a> Projector<'a> {
         }
     }
 
+    /// t of a splat.
+    fn to_camera(&self, i: usize) -> DVec3 {
+        self.rotation * (self.splats.mean(i).as_dvec3() - self.eye)
+    }
+
     fn shape(&self, i: usize) -> Option<Shape> {
-        let t = self.rotation * (self.splats.mean(i).as_dvec3() - self.eye);
+        let t = self.to_camera(i);
         if t.z <= NEAR {
             return None;
         }

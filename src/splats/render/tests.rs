@@ -45,6 +45,25 @@ fn background() -> [f64; 3] {
     BACKGROUND.to_array().map(f64::from)
 }
 
+/// Centres along the axis at ½ of the nearest distance drawn, at twice it, and three that no count has: behind, beside
+/// the image near and far.
+#[test]
+fn splats_in_front_of_the_nearest_plane_are_counted() {
+    let camera = Camera::look_at(DVec3::ZERO, DVec3::X, DVec3::Z, 1.0, [40, 40]);
+    let near = NEAR as f32;
+    let means =
+        [[0.5 * near, 0.0, 0.0], [2.0 * near, 0.0, 0.0], [-near, 0.0, 0.0], [0.5 * near, near, 0.0], [1.0, 1.0, 0.0]];
+    let n = means.len();
+    let means = means.map(Vec3::from_array).to_vec();
+    let at = |means: Vec<Vec3>| {
+        let (scales, turns) = (vec![Vec3::splat(-4.0); n], vec![Quat::IDENTITY; n]);
+        Splats::new(means, scales, turns, vec![1.0; n], vec![0.0; 3 * n], 0, RenderMode::Classic).unwrap()
+    };
+    assert_eq!(share_too_near(&at(means.clone()), &[camera]), 0.5);
+    let away = means.iter().map(|x| *x + 3.0 * Vec3::X).collect();
+    assert_eq!(share_too_near(&at(away), &[camera]), 0.0);
+}
+
 #[test]
 fn images_are_those_of_the_reference() {
     for mode in [RenderMode::Classic, RenderMode::Mip] {
