@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use octobayes::glam::Vec3;
-use octobayes::rays::{MissingShards, SamplesReader};
+use octobayes::rays::{MOST_SAMPLES, MissingShards, SamplesReader};
 use octobayes::render::{RaySample, RaySamples};
 use octobayes::session::{Accumulation, ScaleKind, TrainingPixels, check_fields};
 use octobayes::uncertainty::{self, UncertaintyField};
@@ -112,7 +112,7 @@ fn batched(
     total: u64,
 ) -> PyResult<Vec<RaySamples>> {
     let mut batches = vec![RaySamples::default()];
-    let mut previous = 0;
+    let (mut previous, mut of_ray) = (0, 0);
     let values = positions.as_chunks::<3>().0.iter().zip(jacobians.as_chunks::<9>().0);
     for (i, ((&ray, (position, &jacobian)), &weight)) in rays.iter().zip(values).zip(weights).enumerate() {
         if ray < previous || ray >= total {
@@ -120,6 +120,11 @@ fn batched(
                 "samples['ray'][{i}]: expected from {previous} (non-decreasing) to below \
                  rays_total = {total}, found {ray}"
             )));
+        }
+        of_ray = if ray == previous { of_ray + 1 } else { 1 };
+        if of_ray > MOST_SAMPLES {
+            let expected = format!("at most {MOST_SAMPLES} samples of a ray");
+            return Err(PyValueError::new_err(format!("samples['ray'][{i}]: expected {expected}, found more")));
         }
         let last = batches.len() - 1;
         if ray != previous && batches[last].rays.len() >= BATCH {

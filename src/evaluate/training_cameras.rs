@@ -41,19 +41,29 @@ fn recognised(views: Views, wanted: u32, size: Option<[u32; 2]>) -> Option<Vec<N
     let parts = [Selection::All, Selection::BothParts].into_iter();
     let parts = parts.filter_map(|selection| split.select(Part::Training, &selection, |_| true).ok());
     let of = |frames: Vec<Frame>| {
-        // Masks that cannot be read are not those of the run.
-        let masks = read_masks(&frames).ok()?;
         let at = |size: Option<[u32; 2]>| -> Vec<Camera> {
             frames.iter().map(|frame| size.map_or(frame.camera, |size| frame.camera.resized(size))).collect()
         };
-        let is_wanted = |cameras: &Vec<Camera>| {
-            let resized = masks.iter().zip(cameras);
-            let masks: Vec<_> =
-                resized.map(|(mask, camera)| mask.as_ref().map(|mask| mask.resized(camera.resolution))).collect();
-            Camera::checksum_with(cameras, &masks) == wanted
+        let sizes = [None, size].map(at);
+        // A run may have left the file's masks out. Those that cannot be read are not its own.
+        let is_wanted = |cameras: &&Vec<Camera>| {
+            let has_them = Camera::checksum(cameras) == wanted;
+            has_them || with_masks(&frames, cameras).is_some_and(|checksum| checksum == wanted)
         };
-        let cameras = [None, size].into_iter().map(at).find(is_wanted)?;
+        let cameras = sizes.iter().find(is_wanted)?.clone();
         Some(frames.iter().zip(cameras).map(|(frame, camera)| NamedCamera::new(&frame.name, camera)).collect())
     };
     parts.into_iter().find_map(of)
+}
+
+/// Checksum of these cameras with the masks of their frames; none if there are none, or if one cannot be read.
+fn with_masks(frames: &[Frame], cameras: &[Camera]) -> Option<u32> {
+    if frames.iter().all(|frame| frame.mask.is_none()) {
+        return None;
+    }
+    let mut masks = read_masks(frames).ok()?;
+    for (mask, camera) in masks.iter_mut().zip(cameras) {
+        *mask = mask.as_ref().map(|mask| mask.resized(camera.resolution));
+    }
+    Some(Camera::checksum_with(cameras, &masks))
 }

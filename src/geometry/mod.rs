@@ -14,6 +14,8 @@ mod poses;
 mod ray;
 
 pub use aabb::Aabb;
+#[cfg(feature = "files")]
+pub(crate) use aabb::NGP_SCALE;
 pub use camera::Camera;
 pub(crate) use camera::MAX_PIXELS;
 #[cfg(feature = "files")]

@@ -19,7 +19,7 @@ mod stream;
 pub use missing::MissingShards;
 pub use pixels::Pixels;
 #[cfg(feature = "files")]
-pub use samples_file::{SamplesReader, SamplesWriter};
+pub use samples_file::{MOST_SAMPLES, SamplesReader, SamplesWriter};
 pub(crate) use seeds::Purpose;
 pub use shard::{RaySet, RunProgress, Shard};
 pub use stream::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};

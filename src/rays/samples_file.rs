@@ -30,8 +30,8 @@ use crate::{Error, Result};
 /// Rays per batch when reading, and samples after which a batch ends with its ray.
 const BATCH: usize = 512;
 const SAMPLES: usize = 1 << 17;
-/// Most samples of a ray: as many as a ray through a model may have steps.
-const MOST_SAMPLES: usize = 1 << 16;
+/// Most samples of a ray that are accepted from elsewhere: as many as a ray through a model may have steps.
+pub const MOST_SAMPLES: usize = 1 << 16;
 /// Number of batches passed on together.
 const GROUP: usize = 16;
 
@@ -179,8 +179,8 @@ impl SamplesReader {
     /// Passes all samples to `sink`, in order, a few thousand rays at a time.
     ///
     /// # Errors
-    /// If `sink` fails, a value is not finite, ray indices decrease or reach `rays_total`, the file is truncated,
-    /// or a checksum of the archive does not match its content.
+    /// If `sink` fails, a value is not finite, ray indices decrease or reach `rays_total`, a ray has more than 65,536
+    /// samples, the file is truncated, or a checksum of the archive does not match its content.
     pub fn run(&self, monitor: &dyn Monitor, mut sink: impl FnMut(&[RaySamples]) -> Result<()>) -> Result<()> {
         let open = || NpzReader::open(&self.path);
         let (mut a, mut b, mut c, mut d) = (open()?, open()?, open()?, open()?);
@@ -191,8 +191,7 @@ impl SamplesReader {
 
         monitor.begin("samples", self.samples);
         let mut batches = vec![RaySamples::default()];
-        // Of the ray, and the place of its first sample in its batch.
-        let (mut previous, mut first) = (0, 0);
+        let (mut previous, mut of_ray) = (0, 0);
         for sample in 0..self.samples {
             let Index(ray) = self.present(rays.next_element()?, "ray", sample)?;
             if ray < previous || ray >= self.rays_total {
@@ -205,16 +204,14 @@ impl SamplesReader {
                 ));
             }
             // Batches are cut only between rays, because a ray is summed as a whole.
-            let last = batches.len() - 1;
-            let samples = batches[last].positions.len();
-            if ray != previous {
-                first = samples;
-            } else if samples - first >= MOST_SAMPLES {
+            of_ray = if ray == previous { of_ray + 1 } else { 1 };
+            if of_ray > MOST_SAMPLES {
                 let expected = format!("at most {MOST_SAMPLES} samples of a ray");
                 return Err(Error::malformed(&self.path, format!("array `ray`, element {sample}"), expected, "more"));
             }
-            if ray != previous && (batches[last].rays.len() >= BATCH || samples >= SAMPLES) {
-                first = 0;
+            let last = batches.len() - 1;
+            let is_full = batches[last].rays.len() >= BATCH || batches[last].positions.len() >= SAMPLES;
+            if ray != previous && is_full {
                 monitor.advance(batches[last].positions.len() as u64);
                 if batches.len() >= GROUP {
                     check(monitor)?;

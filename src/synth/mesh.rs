@@ -125,8 +125,8 @@ impl Mesh {
         let mesh = Self::new(vertices, faces).map_err(malformed)?;
         let [low, high] = mesh.extent();
         let (away, length) = (low.abs().max(high.abs()).max_element(), (high - low).max_element());
-        if away * f64::from(f32::EPSILON) > ROUNDING * length {
-            let expected = "a mesh beside its origin, as positions are read as f32; shift it there".into();
+        if 0.5 * away * f64::from(f32::EPSILON) > ROUNDING * length {
+            let expected = "a mesh near its origin, as positions are read as f32; shift it there".into();
             return Err(malformed((expected, format!("one of length {length}, {away} away"))));
         }
         Ok(mesh)
@@ -276,9 +276,9 @@ mod tests {
     #[test]
     fn meshes_that_f32_would_round_are_refused() {
         let at = |x: f64| read(format!("v {x} 0 0\nv {} 0 0\nv {x} 2 0\nf 1 2 3\n", x + 1.0).as_bytes());
-        assert!(at(100.0).is_ok(), "rounded to 8e-6");
+        assert!(at(100.0).is_ok(), "rounded by 4e-6");
         let error = at(500_000.0).unwrap_err().to_string();
-        assert!(error.contains("a mesh beside its origin") && error.contains("length 2, 500001 away"), "{error}");
+        assert!(error.contains("a mesh near its origin") && error.contains("length 2, 500001 away"), "{error}");
     }
 
     #[test]

@@ -340,6 +340,8 @@ impl Desk {
         self.write("rational/images.txt", "1 1 0 0 0 0 0 3 1 a.png\n\n");
         let foreign = std::fs::read_to_string(self.path("cameras.json")).unwrap().replace("r_", "foreign_");
         self.write("foreign.json", foreign);
+        let scaled = std::fs::read_to_string(self.path("cameras.json")).unwrap().replacen('{', "{\"scale\": 0, ", 1);
+        self.write("unscaled.json", scaled);
         self.write("huge.json", frame("\"fl_x\": 9e4, \"w\": 65536, \"h\": 65536", pose));
     }
 
@@ -356,6 +358,13 @@ impl Desk {
         write("beyond.npz", [4, 50], 1.0, 10);
         write("nan_samples.npz", [4, 5], f32::NAN, 10);
         write("none_drawn.npz", [0, 0], 1.0, 0);
+        let many = 65_537;
+        let mut long = NpzWriter::create(&self.path("long_ray.npz"));
+        long.array("positions", &[many, 3], vec![0.1_f32; 3 * many as usize]);
+        long.array("jacobian", &[many, 3, 3], vec![1.0_f32; 9 * many as usize]);
+        long.array("ray", &[many], vec![0_u64; many as usize]);
+        long.array("rays_total", &[], [1_i64]);
+        long.finish();
         write("far.npz", [0, 1], 1.0, 10);
         write("altered_samples.npz", [0, 1], 1.0, 10);
         let mut bytes = std::fs::read(self.path("altered_samples.npz")).unwrap();
