@@ -21,7 +21,7 @@ pub use self::file::is_checkpoint;
 use super::elementary::sin_cos;
 use super::{Differentiable, Radiance, RadianceField, RadianceJet};
 use crate::Result;
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, NGP_SCALE};
 
 /// Octaves of the positional encoding for positions and directions.
 const OCTAVES: [usize; 2] = [10, 4];
@@ -35,9 +35,8 @@ const HIDDEN: usize = 128;
 const BLOCK: usize = 512;
 /// Rows of a point with its derivatives: value, ∂x, ∂y, ∂z.
 const JET: usize = 4;
-/// Half edge of a cube in which NeRF-synthetic scenes fit, the unit cube of instant-ngp (0.5 / 0.33). The
-/// file names no box.
-const HALF_EDGE: f64 = 0.5 / 0.33;
+/// Half edge of a cube in which NeRF-synthetic scenes fit, the unit cube of instant-ngp. The file names no box.
+const HALF_EDGE: f64 = 0.5 / NGP_SCALE;
 
 /// One linear layer.
 #[derive(Debug, Clone)]

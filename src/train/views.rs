@@ -11,14 +11,12 @@ use crate::dataset::{
     Frame, FrameSplit, Part, PosedImage, ScenePoint, Selection, Views, camera_file, check_masks, read_masks,
     scene_points, test_partner,
 };
-use crate::geometry::{Aabb, Camera, Mask, NamedCamera};
+use crate::geometry::{Aabb, Camera, Mask, NGP_SCALE, NamedCamera};
 use crate::monitor::{Monitor, check};
 use crate::{Error, Result};
 
-/// instant-ngp's factor for NeRF data sets.
-const SCALE: f64 = 0.33;
 /// Half edge of the cube around NeRF-synthetic scenes, and of instant-ngp's unit cube.
-const HALF_EDGE: f64 = 0.5 / SCALE;
+const HALF_EDGE: f64 = 0.5 / NGP_SCALE;
 
 /// A picture and the camera that took it.
 #[derive(Debug, Clone)]
@@ -256,12 +254,12 @@ fn scene_box(path: &Path) -> Result<Aabb> {
         return Aabb::new(min.into(), max.into())
             .map_err(|e| Error::malformed(path, "`aabb`", "min < max", e.to_string()));
     }
-    let within = |key: &str, value: f64, most: f64| {
-        let found = || Error::malformed(path, key, format!("above 0 and at most {most}"), value.to_string());
-        (value > 0.0 && value <= most).then_some(value).ok_or_else(found)
+    let within = |key: &str, value: f64, [least, most]: [f64; 2]| {
+        let found = || Error::malformed(path, key, format!("{least} to {most}"), value.to_string());
+        (value >= least && value <= most).then_some(value).ok_or_else(found)
     };
-    let edge = within("`aabb_scale`", found.aabb_scale.unwrap_or(1.0), 1024.0)?;
-    let scale = within("`scale`", found.scale.unwrap_or(SCALE), 1e6)?;
+    let edge = within("`aabb_scale`", found.aabb_scale.unwrap_or(1.0), [1e-6, 1024.0])?;
+    let scale = within("`scale`", found.scale.unwrap_or(NGP_SCALE), [1e-6, 1e6])?;
     let offset = match found.offset {
         None => DVec3::splat(0.5),
         Some(Offset::Same(offset)) => DVec3::splat(offset),
@@ -303,8 +301,8 @@ mod tests {
             [DVec3::new(-1.0, -2.0, -3.0), DVec3::new(1.0, 2.0, 3.0)],
         );
         for (text, words) in [
-            (r#"{"scale": 0}"#, "`scale`: expected above 0"),
-            (r#"{"aabb_scale": -1}"#, "`aabb_scale`: expected above 0"),
+            (r#"{"scale": 0}"#, "`scale`: expected 0.000001 to 1000000"),
+            (r#"{"aabb_scale": -1}"#, "`aabb_scale`: expected 0.000001 to 1024"),
             (r#"{"offset": "left"}"#, "`offset`: expected corners"),
         ] {
             let error = read(text).unwrap_err();

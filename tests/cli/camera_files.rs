@@ -186,5 +186,11 @@ fn keys_that_nobody_reads_are_named_once() {
     let line = "note: t.json: keys that are not read: `fancy_lens`, `tilt` (of frames)";
     assert_eq!(said.lines().filter(|l| *l == line).count(), 1, "{said}");
     assert!(!said.contains("aabb_scale"), "{said}");
-    assert!(said.contains("`scale` and `offset` place the scene in instant-ngp's cube"), "{said}");
+    assert!(said.contains("`scale` and `offset` are not instant-ngp's 0.33 and 0.5"), "{said}");
+    desk.cameras(|file| {
+        file["scale"] = json!(0.33);
+        file["offset"] = json!([0.5, 0.5, 0.5]);
+    });
+    let (_, said) = desk.seen("");
+    assert!(!said.contains("instant-ngp's"), "{said}");
 }

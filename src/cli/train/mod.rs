@@ -205,6 +205,14 @@ fn state_file(model: &Path) -> PathBuf {
     model.with_extension("state")
 }
 
+/// Says where the scene is, if that is the camera file's word and not the usual place.
+fn note_box(bounds: Aabb, files: &DatasetFiles) {
+    if bounds == files.bounds && bounds != DatasetFiles::unit_cube() {
+        let [low, high] = [bounds.min(), bounds.max()];
+        announce!("note: the scene is from {low:.3} to {high:.3}, as the camera file says (--box for another box)");
+    }
+}
+
 /// One model to train.
 struct Member {
     settings: TrainSettings,
@@ -229,6 +237,9 @@ impl Args {
         files.select(&self.views.clone().unwrap_or_default(), None)?;
         announce!("note: {}", files.describe());
         let domain = self.domain(&files)?;
+        if let Domain::Box(bounds) = domain {
+            note_box(bounds, &files);
+        }
         let [train, held_out] = files.load(bars)?;
         let members = (0..self.members).map(|k| self.member(k, &files, &train)).collect::<Result<Vec<_>>>()?;
         check_framing(&train, &domain)?;

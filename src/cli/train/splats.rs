@@ -115,6 +115,7 @@ impl Args {
         let mut points = files.points()?;
         points.retain(|point| self.bounds.is_none_or(|bounds| bounds.contains(point.position.as_vec3())));
         let bounds = self.bounds.or_else(|| box_of_points(&points)).unwrap_or(files.bounds);
+        super::note_box(bounds, &files);
         let domain = Domain::Box(bounds);
         let [train, held_out] = files.load(bars)?;
         beside.check_names(&train)?;

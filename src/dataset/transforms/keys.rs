@@ -7,6 +7,7 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use crate::dataset::intrinsics::Intrinsics;
+use crate::geometry::NGP_SCALE;
 use crate::{Error, Result};
 
 /// Keys that make a lens other than perspective, or move it during the exposure, by their presence.
@@ -67,14 +68,12 @@ const HARMLESS_IN_FRAMES: [&str; 15] = [
     "normal_file_path",
     "image_id",
 ]; // fmt: skip
-/// Keys of a file that say where the scene lies in instant-ngp's cube.
-const PLACING: [&str; 2] = ["scale", "offset"];
+/// instant-ngp's usual `offset`, the middle of its cube.
+const NGP_OFFSET: f64 = 0.5;
 /// Keys of a file that change no ray.
-const HARMLESS_IN_FILES: [&str; 24] = [
+const HARMLESS_IN_FILES: [&str; 22] = [
     "aabb_scale",
     "aabb",
-    PLACING[0],
-    PLACING[1],
     "render_aabb",
     "up",
     "envmap",
@@ -134,6 +133,8 @@ pub struct RawFile {
     pub from_na: Option<serde_json::Value>,
     pub from_mitsuba: Option<serde_json::Value>,
     pub normal_mts_args: Option<IgnoredAny>,
+    pub scale: Option<serde_json::Value>,
+    pub offset: Option<serde_json::Value>,
     #[serde(flatten)]
     pub intrinsics: Intrinsics,
     #[serde(flatten)]
@@ -182,12 +183,14 @@ impl RawFile {
         if !named.is_empty() {
             notes.push(format!("keys that are not read: {}", named.join(", ")));
         }
-        if PLACING.iter().any(|key| self.unknown.contains_key(*key)) {
-            notes.push(
-                "`scale` and `offset` place the scene in instant-ngp's cube: `train` takes its box from them; a \
-                 Plenoptic PNG is read with 0.33 and 0.5 in their place"
-                    .into(),
-            );
+        let is_other = |value: &Option<serde_json::Value>, usual: f64| {
+            value.as_ref().is_some_and(|value| *value != usual && *value != serde_json::Value::from(vec![usual; 3]))
+        };
+        if is_other(&self.scale, NGP_SCALE) || is_other(&self.offset, NGP_OFFSET) {
+            notes.push(format!(
+                "`scale` and `offset` are not instant-ngp's {NGP_SCALE} and {NGP_OFFSET}, with which a Plenoptic PNG \
+                 is read all the same"
+            ));
         }
         if frames.iter().any(|frame| frame.time != frames[0].time) {
             notes.push("frames differ in `time`; the scene is taken to stand still".into());

@@ -8,7 +8,7 @@ use std::ops::Mul;
 
 use glam::{DMat3, DVec3, Vec3};
 
-use crate::geometry::{Aabb, Camera};
+use crate::geometry::{Aabb, Camera, NGP_SCALE};
 
 /// Scene units and axes in which a model is used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
@@ -20,9 +20,6 @@ pub enum Coordinates {
     /// Coordinates of the NeRF-synthetic transforms.json files: p = cycle(0.33 x) + 0.5.
     Blender,
 }
-
-/// instant-ngp's factor for NeRF data sets.
-const NERF_SCALE: f64 = 0.33;
 
 impl Coordinates {
     /// All of them, the default first.
@@ -44,7 +41,7 @@ impl Coordinates {
     pub const fn scale(self) -> f64 {
         match self {
             Self::Ngp => 1.0,
-            Self::Blender => NERF_SCALE,
+            Self::Blender => NGP_SCALE,
         }
     }
 
@@ -53,7 +50,7 @@ impl Coordinates {
     pub(super) fn centered(self, x: Vec3) -> Vec3 {
         match self {
             Self::Ngp => x - 0.5,
-            Self::Blender => NERF_SCALE as f32 * self.direction(x),
+            Self::Blender => NGP_SCALE as f32 * self.direction(x),
         }
     }
 
@@ -79,7 +76,7 @@ impl Coordinates {
     pub(super) fn gradient<T: Mul<f32, Output = T> + Copy>(self, [x, y, z]: [T; 3]) -> [T; 3] {
         match self {
             Self::Ngp => [x, y, z],
-            Self::Blender => [z, x, y].map(|d| d * NERF_SCALE as f32),
+            Self::Blender => [z, x, y].map(|d| d * NGP_SCALE as f32),
         }
     }
 
@@ -88,7 +85,7 @@ impl Coordinates {
         match self {
             Self::Ngp => Aabb::new(DVec3::splat(0.5 - 0.5 * side), DVec3::splat(0.5 + 0.5 * side))
                 .expect("the side is positive and finite"),
-            Self::Blender => Aabb::centered_cube(0.5 * side / NERF_SCALE),
+            Self::Blender => Aabb::centered_cube(0.5 * side / NGP_SCALE),
         }
     }
 
@@ -96,7 +93,7 @@ impl Coordinates {
     pub(super) fn pose(self, axes: DMat3, position: DVec3) -> (DVec3, DMat3) {
         let position = match self {
             Self::Ngp => position,
-            Self::Blender => self.inverse_direction(position - 0.5) / NERF_SCALE,
+            Self::Blender => self.inverse_direction(position - 0.5) / NGP_SCALE,
         };
         let [right, down, forward] = [axes.x_axis, axes.y_axis, axes.z_axis].map(|a| self.inverse_direction(a));
         (position, DMat3::from_cols(right, -down, -forward))

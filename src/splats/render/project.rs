@@ -7,6 +7,7 @@
 //! than to composite.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
+use rayon::prelude::*;
 
 use super::harmonics;
 use crate::geometry::Camera;
@@ -97,18 +98,14 @@ fn dilated([a, b, c]: [f64; 3]) -> [f64; 3] {
 impl<'a> Projector<'a> {
     /// The number of splats whose centres are on the image, and how many of them are too near to be drawn.
     pub fn too_near(&self) -> [usize; 2] {
-        let on_image = |i: &usize| {
-            let t = self.to_camera(*i);
+        let counted = |i: usize| {
+            let t = self.to_camera(i);
             let at = self.focal * DVec2::new(t.x, t.y) / t.z + self.center;
             let is_on_image = t.z > 0.0 && at.cmpge(DVec2::ZERO).all() && at.cmplt(self.resolution).all();
-            is_on_image.then_some(t.z <= NEAR)
+            [is_on_image, is_on_image && t.z <= NEAR].map(usize::from)
         };
-        let (mut all, mut near) = (0, 0);
-        for is_near in (0..self.splats.len()).filter_map(|i| on_image(&i)) {
-            all += 1;
-            near += usize::from(is_near);
-        }
-        [all, near]
+        let sum = |[a, b]: [usize; 2], [c, d]: [usize; 2]| [a + c, b + d];
+        (0..self.splats.len()).into_par_iter().map(counted).reduce(|| [0, 0], sum)
     }
 
     /// The splats in front of a camera without distortion.
