@@ -9,8 +9,10 @@ const README: &str = "README.md";
 const RESULTS: &str = "docs/src/results.md";
 const EVALUATE: &str = "docs/src/evaluate.md";
 const CONCEPTS: &str = "docs/src/concepts.md";
+const LARGE: &str = "docs/src/large-scenes.md";
+const FEW: &str = "docs/src/few-rays.md";
 
-/// Where a table stands: report, block, and a part of the heading above it in the block, which may be empty.
+/// Where a table stands: report, block, and a part of the heading or title above it in the block, which may be empty.
 type Place = [&'static str; 3];
 
 const AGREEMENT: Place = ["lego", "agreement", ""];
@@ -24,6 +26,7 @@ const ENSEMBLES: Place = ["depth", "ensembles", "Ranking"];
 const FOX: Place = ["photographs", "fox", ""];
 
 /// The first number of a cell, in another unit, to so many digits.
+#[derive(Clone)]
 struct Figure {
     place: Place,
     /// A part of the one row that is meant.
@@ -70,7 +73,7 @@ fn cell([report, block, section]: Place, row: &str, column: &str) -> String {
     let body = blocks.iter().find(|found| found.name == block).unwrap_or_else(|| panic!("{report}: {block}")).body;
     let (mut heading, mut head, mut found) = ("", Vec::new(), Vec::new());
     for line in body.lines() {
-        if line.starts_with("### ") {
+        if line.starts_with("### ") || line.starts_with("**") {
             heading = line;
         } else if !line.starts_with('|') {
             head.clear();
@@ -143,6 +146,13 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
     let [fox_12, fox_44] = ["| 12 | log10 U, weighted-mean |", "| 44 | log10 U, weighted-mean |"];
     let [angle_12, angle_44] = ["| 12 | angle", "| 44 | angle"];
     let weight = "By the weight of the residuals";
+    let limited = |block, row| {
+        let of = |column, digits| figure(["criteria", block, ""], row, column).rounded(digits);
+        [("surfaces: mean", 3), ("surfaces: mean→→", 2)].map(|(column, digits)| of(column, digits))
+    };
+    let [four, sixteen] = ["| sensitivity, ray-count | 0.01 | 4 |", "| sensitivity, ray-count | 0.01 | 16 |"];
+    let hardly = |block, column| figure(["criteria", block, ""], four, column);
+    let next = |row| figure(["next_view", "strategies", "error of depth"], row, "mean").rounded(3);
     let ten = || coverage("meshes", "scenes that have no say");
     vec![
         (
@@ -152,7 +162,7 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
         ),
         (
             README,
-            "lego at 256³ with 4,096,000 rays: {} s with the model's own derivatives, {} s with differences |",
+            "lego at 256³ with 4,096,000 rays: {} s with the model's own derivatives, {} s with differences, on a busy",
             vec![time("Analytic"), time("| FiniteDifference")],
         ),
         (
@@ -162,18 +172,24 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
         ),
         (
             README,
-            "a city at 8192³: {} MB instead of {} TB |",
+            "a city at 8192³: {} MB instead of {} TB, within 4 GiB",
             vec![city(l13, field, 1e6, 0), city(l13, dense, 1e12, 1)],
         ),
         (
             README,
-            "AUSE on ten scenes (0 is perfect): U {}, the variance of a ray's weights {}, their deviation divided by \
-             the number of rays {} |",
-            vec![tested(ours, mae), tested(variance, mae), tested(control, mae)],
+            "AUSE on ten scenes (0 is perfect): U s / √n {}, s / n without U {}, s² alone {}, for the spread s",
+            vec![tested(ours, mae), tested(control, mae), tested(variance, mae)],
         ),
         (
             README,
-            "nominal 90 % covers {} % on unseen meshes, {} % on photographs of a kitchen |",
+            "six scenes: log det {}, FisherRF {}, random {}, ahead of both by more than the interval; the farthest \
+             view has {} |",
+            ["| log det |", "| FisherRF |", "| random |", "| farthest |"].map(next).into(),
+        ),
+        (
+            README,
+            "with `--images`, nominal 90 % covers {} % on held-out scenes of four meshes, {} % on photographs of a \
+             kitchen |",
             vec![with_images("meshes", "scenes that have no say"), with_images("kitchen", weight)],
         ),
         (EVALUATE, "four ray-traced meshes; 1000 steps, three seeds | {}, {}, {} | {}, {}, {} |", ten()),
@@ -183,6 +199,29 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
         (EVALUATE, "fifteen views, three seeds | {}, {}, {} | {}, {}, {} |", coverage("kitchen", weight)),
         (CONCEPTS, "is {} with 12 training views and {} with 44", vec![fox(fox_12), fox(fox_44)]),
         (CONCEPTS, "which needs no model, has {} and {}.", vec![fox(angle_12), fox(angle_44)]),
+        (
+            LARGE,
+            "| courtyard | 4 | {} | {} | | courtyard | 16 | {} | {} |",
+            [
+                [hardly("courtyard", "surfaces: mean"), hardly("courtyard", "surfaces: mean→→")],
+                limited("courtyard", sixteen),
+            ]
+            .concat(),
+        ),
+        (
+            LARGE,
+            "| lego | 4 | {} | {} | | lego | 16 | {} | {} |",
+            [
+                [hardly("lego", "surfaces: mean"), hardly("lego", "surfaces: mean→→").rounded(2)],
+                limited("lego", sixteen),
+            ]
+            .concat(),
+        ),
+        (
+            FEW,
+            "| 409,600 | {} | | a million | {} | | four million | {} |",
+            [own_04, own_1, own_4].map(|row| lego(row, error).rounded(2)).into(),
+        ),
         (
             RESULTS,
             "| dense, 257³ | {} | {} MB | {} MB |",
@@ -248,8 +287,8 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
         ),
         (
             RESULTS,
-            "(default), `block`, level 6 | {} | {} | | variance of the ray's weights | {} | {} | | U at the expected \
-             depth alone | {} | {} | | s / n, a control without a Hessian | {} | {} |",
+            "(default of `evaluate`), `block`, level 6 | {} | {} | | variance of the ray's weights | {} | {} | | U at \
+             the expected depth alone | {} | {} | | s / n, a control without a Hessian | {} | {} |",
             vec![
                 tested(ours, mae),
                 tested(ours, rmse),
@@ -263,12 +302,12 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
         ),
         (
             RESULTS,
-            "| the default | {} | {} | | ensemble of ten | {} | {} |",
+            "| U s / √n | {} | {} | | ensemble of ten | {} | {} |",
             vec![first(ours, "MAE"), first(ours, "RMSE"), first(ensemble, "MAE"), first(ensemble, "RMSE")],
         ),
         (
             RESULTS,
-            "| the default | {} | {} | | s / n | {} | {} |",
+            "| U s / √n | {} | {} | | s / n | {} | {} |",
             vec![strong(ours, "MAE"), strong(ours, "RMSE"), strong(control, "MAE"), strong(control, "RMSE")],
         ),
     ]
