@@ -80,6 +80,27 @@ impl Row {
     }
 }
 
+/// Values of some ways, one round of all ways behind the other: where the machine's speed drifts, it does so for all.
+///
+/// `of` gives the value of a way in a round, or none where a way has fewer rounds.
+pub fn alternating<W, T>(ways: &[W], rounds: &[u64], of: impl Fn(&W, u64) -> Result<Option<T>>) -> Result<Vec<Vec<T>>> {
+    let mut out: Vec<Vec<T>> = ways.iter().map(|_| Vec::new()).collect();
+    for &round in rounds {
+        for (way, values) in ways.iter().zip(&mut out) {
+            values.extend(of(way, round)?);
+        }
+    }
+    Ok(out)
+}
+
+/// Median, least and most of the ratios of two ways' times, round by round.
+pub fn ratio(times: &[f64], first: &[f64]) -> String {
+    let mut ratios: Vec<f64> = times.iter().zip(first).map(|(a, b)| a / b).collect();
+    ratios.sort_by(f64::total_cmp);
+    let middle = median(ratios.clone());
+    format!("{middle:.2} ({:.2} to {:.2})", ratios[0], ratios[ratios.len() - 1])
+}
+
 /// The rows of all seeds.
 pub struct Rows(pub Vec<Row>);
 

@@ -8,7 +8,7 @@ use octobayes::posterior::{Criterion, Pooling};
 use octobayes::rays::Pixels;
 use octobayes::render::{GradientMethod, RayAverage};
 
-use super::measure::{POINTS, Row, Rows, Run, SEEDS, grid, reference, run};
+use super::measure::{POINTS, Row, Rows, Run, SEEDS, alternating, grid, ratio, reference, run};
 use crate::common::clock::median;
 use crate::common::program::folder;
 use crate::common::ranking::Truth;
@@ -25,36 +25,24 @@ const ERROR_COLUMNS: [&str; 6] = ["surfaces: mean", "95 %", "max", "box: mean", 
 
 /// The paper's workload, three times each.
 pub fn targets(work: &Work, lego: &Scene) -> Result<(String, String)> {
-    const TIMES_EACH: u64 = 3;
-    let mut table =
-        Table::new(&["derivatives", "s, median of 3", "least", "most", "rays / s", "times own derivatives"]);
-    let mut own = f64::NAN;
-    for gradient in [GradientMethod::Analytic, GradientMethod::FiniteDifference, GradientMethod::ForwardDifference] {
-        let rays = lego.settings.gradient(gradient);
-        let name = format!("{gradient:?}");
-        let of = |time| work.row((&name, time), || Ok(run(lego, &rays, &grid(GridKind::Octree, 8))?.seconds));
-        let mut times = (0..TIMES_EACH).map(of).collect::<Result<Vec<f64>>>()?;
-        times.sort_by(f64::total_cmp);
-        let middle = median(times.clone());
-        own = if gradient == GradientMethod::Analytic { middle } else { own };
-        let [least, most] = [times[0], times[times.len() - 1]].map(|t| format!("{t:.2}"));
-        let speed = whole(rays.rays as f64 / middle);
-        table.row(&[name, format!("{middle:.2}"), least, most, speed, format!("{:.2}", middle / own)]);
+    const WAYS: [GradientMethod; 3] =
+        [GradientMethod::Analytic, GradientMethod::FiniteDifference, GradientMethod::ForwardDifference];
+    let head = ["derivatives", "s, median of 3", "least", "most", "rays / s", "times own derivatives"];
+    let mut table = Table::new(&head);
+    let times = alternating(&WAYS, &SEEDS, |&gradient, time| {
+        let make = || Ok(run(lego, &lego.settings.gradient(gradient), &grid(GridKind::Octree, 8))?.seconds);
+        work.row((format!("{gradient:?}"), time), make).map(Some)
+    })?;
+    for (gradient, of) in WAYS.iter().zip(&times) {
+        let middle = median(of.clone());
+        let least = of.iter().copied().fold(f64::INFINITY, f64::min);
+        let most = of.iter().copied().fold(0.0, f64::max);
+        let seconds = [middle, least, most].map(|seconds| format!("{seconds:.2}"));
+        let speed = whole(lego.settings.rays as f64 / middle);
+        table.row(&[&[format!("{gradient:?}")][..], &seconds, &[speed, ratio(of, &times[0])]].concat());
     }
     let described = describe(&lego.settings, &lego.grid, &["gradient"]);
     Ok((format!("{}. {described} {} {TIMES}.", lego.name, seeds(&[0])), table.text().into()))
-}
-
-/// Runs of some seeds.
-fn rows(
-    work: &Work,
-    name: &str,
-    rays: &RaySettings,
-    seeds: &[u64],
-    make: impl Fn(RaySettings) -> Result<Row>,
-) -> Result<Rows> {
-    let of = |&seed: &u64| work.row((name, rays.rays, seed), || make(rays.seed(seed)));
-    Ok(Rows(seeds.iter().map(of).collect::<Result<_>>()?))
 }
 
 /// Each feature switched on behind the others.
@@ -78,10 +66,14 @@ pub fn ablation(work: &Work, lego: &Scene) -> Result<(String, String)> {
     ];
     let head = ["", "s, median", "samples / ray", "bytes for queries"];
     let mut table = Table::new(&[&head[..], &ERROR_COLUMNS].concat());
-    for (name, rays, grid) in features {
-        let rows = rows(work, name, &rays, &SEEDS, |rays| Row::new(&run(lego, &rays, &grid)?, Some(&reference)))?;
+    let rows = alternating(&features, &SEEDS, |(name, rays, grid), seed| {
+        let make = || Row::new(&run(lego, &rays.seed(seed), grid)?, Some(&reference));
+        work.row((name, rays.rays, seed), make).map(Some)
+    })?;
+    for ((name, rays, _), rows) in features.iter().zip(rows) {
+        let rows = Rows(rows);
         let head = [
-            name.to_string(),
+            (*name).to_string(),
             format!("{:.2}", rows.seconds()),
             format!("{:.1}", rows.mean(|row| row.samples) / rays.rays as f64),
             whole(rows.mean(|row| row.bytes)),
@@ -110,24 +102,21 @@ pub fn differences(work: &Work, scenes: &[Scene]) -> Result<(String, String)> {
         let exact = work.field(name, || {
             scene.with_surfaces(run(scene, &settings, &grid(GridKind::Octree, 8))?.field, settings, POINTS)
         })?;
-        let mut first = f64::NAN;
-        for (name, gradient, step) in ways {
+        // Of one seed, like the exact field; three times for the time.
+        let rows = alternating(&ways, &SEEDS, |&(name, gradient, step), time| {
             let settings = settings.gradient(gradient).step(step);
-            // Of one seed, like the exact field; three times for the time.
-            let of = |time: u64| {
-                work.row((scene.name, name, time), || {
-                    Row::new(&run(scene, &settings, &grid(GridKind::Octree, 8))?, Some(&exact))
-                })
-            };
-            let rows = Rows((0..3).map(of).collect::<Result<_>>()?);
-            let seconds = rows.seconds();
-            first = if gradient == Analytic { seconds } else { first };
+            let make = || Row::new(&run(scene, &settings, &grid(GridKind::Octree, 8))?, Some(&exact));
+            work.row((scene.name, name, time), make).map(Some)
+        })?;
+        let rows: Vec<Rows> = rows.into_iter().map(Rows).collect();
+        let times: Vec<Vec<f64>> = rows.iter().map(|rows| rows.all(|row| row.seconds)).collect();
+        for (((name, ..), rows), of) in ways.iter().zip(&rows).zip(&times) {
             let head = [
                 scene.name.to_string(),
                 whole(settings.rays as f64),
-                name.to_string(),
-                format!("{seconds:.2}"),
-                format!("{:.2}", seconds / first),
+                (*name).to_string(),
+                format!("{:.2}", rows.seconds()),
+                ratio(of, &times[0]),
             ];
             let errors = [rows.0[0].surfaces, rows.0[0].space].concat();
             table.row(&[&head[..], &errors.into_iter().map(|e| format!("{e:.4}")).collect::<Vec<_>>()].concat());
@@ -212,9 +201,9 @@ fn own(rays: RaySettings) -> RaySettings {
     rays.gradient(GradientMethod::Auto)
 }
 
-/// Rays a second of the published algorithm in JAX: a tuned program that is not part of this repository, on the same
-/// machine and from the same cameras. It reads no other kind of model than these scenes have.
-const PEER_SPEEDS: [(&str, f64); 2] = [("lego", 23_254.0), ("Ignatius", 24_150.0)];
+/// Rays a second of the published algorithm in JAX: a tuned program that is not part of this repository, on the machine
+/// of the report and from the same cameras. It reads no other kind of model than these scenes have.
+const PEER_SPEEDS: [(&str, f64); 2] = [("lego", 13_366.0), ("Ignatius", 10_792.0)];
 
 /// The peer's curve: it draws random rays for a dense grid, so its errors are those of the first method, at the times
 /// that it takes for as many rays.
@@ -238,16 +227,23 @@ pub fn rays(work: &Work, scenes: &[(Scene, u64, u64)], truth: Option<&Truth>) ->
         let mut curves: Vec<Curve> =
             METHODS.iter().map(|m| Curve { name: m.name.into(), points: Vec::new(), reference: false }).collect();
         for rays in COUNTS.into_iter().filter(|rays| rays <= most) {
-            let fitting = METHODS.iter().zip(&mut curves).filter(|(method, _)| rays <= method.most);
-            for (Method { name, rays: with, grid: on, repeated, .. }, curve) in fitting {
-                let (settings, grid) = (with(scene.settings.rays(rays)), on(grid(GridKind::Octree, 8)));
-                let seeds = if rays <= *repeated { &SEEDS[..] } else { &SEEDS[..1] };
-                let rows = rows(work, &format!("{}, {name}", scene.name), &settings, seeds, |settings| {
-                    let run = run(scene, &settings, &grid)?;
+            let fitting: Vec<usize> = (0..METHODS.len()).filter(|&i| rays <= METHODS[i].most).collect();
+            let rows = alternating(&fitting, &SEEDS, |&i, seed| {
+                let Method { name, rays: with, grid: on, repeated, .. } = &METHODS[i];
+                if rays > *repeated && seed != SEEDS[0] {
+                    return Ok(None);
+                }
+                let settings = with(scene.settings.rays(rays)).seed(seed);
+                let make = || {
+                    let run = run(scene, &settings, &on(grid(GridKind::Octree, 8)))?;
                     let mut row = Row::new(&run, Some(&reference))?;
                     row.ause = truth.map(|truth| ause(scene, truth, run)).transpose()?;
                     Ok(row)
-                })?;
+                };
+                work.row((format!("{}, {name}", scene.name), rays, seed), make).map(Some)
+            })?;
+            for (i, rows) in fitting.into_iter().zip(rows) {
+                let (Method { name, .. }, curve, rows) = (&METHODS[i], &mut curves[i], Rows(rows));
                 curve.points.push((rows.seconds().log10(), rows.mean(|row| row.surfaces[0]).log10()));
                 let ause: Option<Vec<f64>> = rows.0.iter().map(|row| row.ause).collect();
                 let head = [
@@ -306,23 +302,21 @@ pub fn levels(work: &Work, lego: &Scene) -> Result<(String, String)> {
     let criteria = [Criterion::Sensitivity, Criterion::RayCount].into_iter().collect();
     let limited =
         (8..=12).map(|level| (grid(GridKind::Octree, level).criteria(criteria), "`--refine sensitivity,ray-count`"));
-    let mut measured = Vec::new();
-    for (grid, leaves) in free.chain(limited) {
-        let name = format!("level {}, {leaves}", grid.level);
-        measured.push((
-            grid,
-            leaves,
-            rows(work, &name, &rays, &SEEDS, |rays| Row::new(&run(lego, &rays, &grid)?, None))?,
-        ));
-    }
-    let level_8 = measured.iter().find(|(grid, ..)| grid.level == 8).map_or(f64::NAN, |(.., rows)| rows.seconds());
-    for (grid, leaves, rows) in measured {
+    let ways: Vec<(GridSettings, &str)> = free.chain(limited).collect();
+    let rows = alternating(&ways, &SEEDS, |(grid, leaves), seed| {
+        let make = || Row::new(&run(lego, &rays.seed(seed), grid)?, None);
+        work.row((format!("level {}, {leaves}", grid.level), rays.rays, seed), make).map(Some)
+    })?;
+    let rows: Vec<Rows> = rows.into_iter().map(Rows).collect();
+    let times: Vec<Vec<f64>> = rows.iter().map(|rows| rows.all(|row| row.seconds)).collect();
+    let level_8 = ways.iter().position(|(grid, _)| grid.level == 8).expect("level 8 is among them");
+    for (((grid, leaves), rows), of) in ways.iter().zip(&rows).zip(&times) {
         let dense = 4 * grid.lattice(octobayes::geometry::Domain::Box(lego.field.bounds()))?.dense_vertices();
         table.row(&[
             grid.level.to_string(),
-            leaves.into(),
+            (*leaves).into(),
             format!("{:.2}", rows.seconds()),
-            format!("{:.1}", rows.seconds() / level_8),
+            ratio(of, &times[level_8]),
             format!("{:.1}", rows.seconds() * 1e6 / rays.rays as f64),
             whole(rows.mean(|row| row.vertices)),
             whole(rows.mean(|row| row.bytes)),

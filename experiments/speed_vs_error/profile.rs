@@ -14,7 +14,7 @@ use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::{CompositingWeights, GradientMethod, TraceBuffers};
 use rayon::prelude::*;
 
-use super::measure::grid;
+use super::measure::{alternating, grid, ratio};
 use crate::common::clock::median;
 use crate::common::scenes::Scene;
 use crate::common::settings::{describe, seeds};
@@ -102,14 +102,18 @@ const WAYS: [(&str, Option<GradientMethod>); 4] = [
 pub fn profile(work: &Work, lego: &Scene, mlp: &Scene) -> Result<(String, String)> {
     let head = ["in the field", "accumulation", "all", "share of accumulation", "times plain rendering"];
     let mut table = Table::new(&[&[""][..], &KINDS, &head].concat());
-    let mut plain = f64::NAN;
-    for (name, gradient) in WAYS {
-        let (points, [all, field, adding]) = work.row(("profile", name), || measure(lego, gradient))?;
-        plain = if gradient.is_none() { all } else { plain };
+    let measured = alternating(&WAYS, &[0, 1, 2, 3, 4], |&(name, gradient), round| {
+        work.row(("profile", name, round), || measure(lego, gradient)).map(Some)
+    })?;
+    let all = |way: &[Measured]| -> Vec<f64> { way.iter().map(|(_, [all, ..])| *all).collect() };
+    for ((name, _), mut way) in WAYS.iter().zip(measured.clone()) {
+        let ratio = ratio(&all(&way), &all(&measured[0]));
+        way.sort_by(|(_, [a, ..]), (_, [b, ..])| a.total_cmp(b));
+        let (points, [all, field, adding]) = way[way.len() / 2];
         let points = points.map(|n| format!("{n:.2}"));
         let times = [field, adding, all].map(|t| format!("{t:.2}"));
-        let shares = [format!("{:.0} %", 100.0 * adding / all), format!("{:.2}", all / plain)];
-        table.row(&[&[name.to_string()][..], &points, &times, &shares].concat());
+        let shares = [format!("{:.0} %", 100.0 * adding / all), ratio];
+        table.row(&[&[(*name).to_string()][..], &points, &times, &shares].concat());
     }
     let costs: [f64; 4] = work.row("costs", || Ok(costs(lego)))?;
     let costs: Vec<String> = KINDS.iter().zip(costs).map(|(kind, ns)| format!("{kind}: {ns:.0} ns")).collect();
@@ -137,53 +141,47 @@ const RAYS: u64 = 409_600;
 fn measure(lego: &Scene, gradient: Option<GradientMethod>) -> Result<Measured> {
     let threads = rayon::current_num_threads() as f64;
     let counted = Counted { field: &*lego.field, points: Default::default(), nanoseconds: AtomicU64::new(0) };
-    let mut rows = Vec::new();
-    for _ in 0..5 {
-        let settings = lego.settings.rays(RAYS).gradient(gradient.unwrap_or_default());
-        let octree = grid(GridKind::Octree, 8);
-        let run = Estimation::new(&counted, &lego.cameras).rays(settings).grid(octree).prepare()?;
-        counted.nanoseconds.store(0, Ordering::Relaxed);
-        counted.points.iter().for_each(|n| n.store(0, Ordering::Relaxed));
-        let mut builder = FieldBuilder::new(octree, Domain::Box(counted.bounds()))?;
-        let stream = run.stream();
-        let (start, mut adding) = (Instant::now(), 0.0);
-        if gradient.is_some() {
-            // Without what comes after the last ray: reading the field off the sums.
-            stream.run(Shard::whole(RAYS), RunProgress::default(), &Silent, |batches, _| {
-                let start = Instant::now();
-                builder.add(batches);
-                adding += start.elapsed().as_secs_f64();
-                Ok(())
-            })?;
-        } else {
-            let tracer = &stream.source.volume().expect("a volume is profiled").tracer;
-            (0..RAYS / 512).into_par_iter().for_each(|batch| {
-                let picks = stream.pixels.picks(batch * 512, 512);
-                let offset = stream.pixel_offset;
-                let rays: Vec<Ray> = picks
-                    .iter()
-                    .map(|p| lego.cameras[p.camera].ray(f64::from(p.pixel[0]) + offset, f64::from(p.pixel[1]) + offset))
-                    .collect();
-                let jitter: Vec<f64> = picks.iter().map(|p| p.jitter).collect();
-                let (mut buffers, mut quadrature) = (TraceBuffers::default(), CompositingWeights::default());
-                tracer.trace(&rays, &jitter, &mut buffers);
-                let traced = &buffers.traced;
-                quadrature.set(traced, tracer.marcher.step);
-                let colors = tracer.visible_colors(&rays, traced, &quadrature);
-                let background = tracer.background();
-                let pixel = |r| quadrature.pixel(&traced.samples(r), &colors, &traced.t, background).color;
-                std::hint::black_box((0..rays.len()).map(pixel).collect::<Vec<_>>());
-            });
-        }
-        let per_ray = 1e6 * threads / RAYS as f64;
-        let all = start.elapsed().as_secs_f64() * per_ray;
-        let field = counted.nanoseconds.load(Ordering::Relaxed) as f64 * 1e-9 * 1e6 / RAYS as f64;
-        rows.push((all, field, adding * per_ray));
+    let settings = lego.settings.rays(RAYS).gradient(gradient.unwrap_or_default());
+    let octree = grid(GridKind::Octree, 8);
+    let run = Estimation::new(&counted, &lego.cameras).rays(settings).grid(octree).prepare()?;
+    counted.nanoseconds.store(0, Ordering::Relaxed);
+    counted.points.iter().for_each(|n| n.store(0, Ordering::Relaxed));
+    let mut builder = FieldBuilder::new(octree, Domain::Box(counted.bounds()))?;
+    let stream = run.stream();
+    let (start, mut adding) = (Instant::now(), 0.0);
+    if gradient.is_some() {
+        // Without what comes after the last ray: reading the field off the sums.
+        stream.run(Shard::whole(RAYS), RunProgress::default(), &Silent, |batches, _| {
+            let start = Instant::now();
+            builder.add(batches);
+            adding += start.elapsed().as_secs_f64();
+            Ok(())
+        })?;
+    } else {
+        let tracer = &stream.source.volume().expect("a volume is profiled").tracer;
+        (0..RAYS / 512).into_par_iter().for_each(|batch| {
+            let picks = stream.pixels.picks(batch * 512, 512);
+            let offset = stream.pixel_offset;
+            let rays: Vec<Ray> = picks
+                .iter()
+                .map(|p| lego.cameras[p.camera].ray(f64::from(p.pixel[0]) + offset, f64::from(p.pixel[1]) + offset))
+                .collect();
+            let jitter: Vec<f64> = picks.iter().map(|p| p.jitter).collect();
+            let (mut buffers, mut quadrature) = (TraceBuffers::default(), CompositingWeights::default());
+            tracer.trace(&rays, &jitter, &mut buffers);
+            let traced = &buffers.traced;
+            quadrature.set(traced, tracer.marcher.step);
+            let colors = tracer.visible_colors(&rays, traced, &quadrature);
+            let background = tracer.background();
+            let pixel = |r| quadrature.pixel(&traced.samples(r), &colors, &traced.t, background).color;
+            std::hint::black_box((0..rays.len()).map(pixel).collect::<Vec<_>>());
+        });
     }
-    rows.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (all, field, adding) = rows[2];
+    let per_ray = 1e6 * threads / RAYS as f64;
+    let all = start.elapsed().as_secs_f64() * per_ray;
+    let field = counted.nanoseconds.load(Ordering::Relaxed) as f64 * 1e-9 * 1e6 / RAYS as f64;
     let points = counted.points.each_ref().map(|n| n.load(Ordering::Relaxed) as f64 / RAYS as f64);
-    Ok((points, [all, field, adding]))
+    Ok((points, [all, field, adding * per_ray]))
 }
 
 /// Nanoseconds of one evaluation of each kind on one core, at points along rays that the field is not empty at.

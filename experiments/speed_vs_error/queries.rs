@@ -11,7 +11,7 @@ use octobayes::uncertainty::{BakedField, Estimate, UncertaintyField};
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
-use super::measure::{self, grid, run};
+use super::measure::{self, alternating, grid, run};
 use crate::common::clock::median;
 use crate::common::scenes::Scene;
 use crate::common::settings::{describe, seeds};
@@ -20,26 +20,32 @@ use crate::common::work::Work;
 
 const POINTS: usize = 4_000_000;
 
-/// Nanoseconds per point, median of five.
-fn time(points: &[Vec3], all: impl Fn(&[Vec3]) -> Vec<Estimate>) -> f64 {
-    let times = (0..5)
-        .map(|_| {
-            let start = Instant::now();
-            std::hint::black_box(all(points));
-            start.elapsed().as_secs_f64() * 1e9 / points.len() as f64
-        })
-        .collect();
-    median(times)
+/// Rounds of which medians are taken.
+const ROUNDS: [u64; 5] = [0, 1, 2, 3, 4];
+
+/// A way to ask for all points.
+type Asked<'a> = &'a dyn Fn(&[Vec3]) -> Vec<Estimate>;
+
+/// Nanoseconds per point of each way, medians of rounds.
+fn times(points: &[Vec3], ways: [Asked<'_>; 3]) -> Result<[f64; 3]> {
+    let mut all = alternating(&ways, &ROUNDS, |ask, _| {
+        let start = Instant::now();
+        std::hint::black_box(ask(points));
+        Ok(Some(start.elapsed().as_secs_f64() * 1e9 / points.len() as f64))
+    })?
+    .into_iter()
+    .map(median);
+    Ok(std::array::from_fn(|_| all.next().unwrap_or(f64::NAN)))
 }
 
-/// The same for single queries on one core.
-fn latency(points: &[Vec3], one: impl Fn(Vec3) -> Estimate) -> f64 {
-    time(&points[..200_000], |points| {
+/// A way to ask for points one by one, on one core.
+fn singly(one: impl Fn(Vec3) -> Estimate) -> impl Fn(&[Vec3]) -> Vec<Estimate> {
+    move |points| {
         points.iter().for_each(|&x| {
             std::hint::black_box(one(x));
         });
         Vec::new()
-    })
+    }
 }
 
 /// Level of the field that is written and read.
@@ -133,28 +139,25 @@ fn of_level(lego: &Scene, octree: &UncertaintyField) -> Result<LevelRow> {
     let start = Instant::now();
     let baked = BakedField::new(octree);
     let seconds = start.elapsed().as_secs_f64();
-    let times = [&anywhere, &surfaces].map(|points| {
-        let batch = [
-            time(points, |points| octree.query_all(points)),
-            time(points, |points| baked.query_all(points)),
-            time(points, |points| dense.query_all(points)),
-        ];
-        let single = [
-            latency(points, |x| octree.query(x)),
-            latency(points, |x| baked.query(x)),
-            latency(points, |x| dense.query(x)),
-        ];
-        [batch[0], batch[1], batch[2], single[0], single[1], single[2]]
-    });
+    let times_at = |points: &[Vec3]| -> Result<[f64; 6]> {
+        let [a, b, c] = times(
+            points,
+            [&|points| octree.query_all(points), &|points| baked.query_all(points), &|points| dense.query_all(points)],
+        )?;
+        let [d, e, f] = times(
+            &points[..200_000],
+            [&singly(|x| octree.query(x)), &singly(|x| baked.query(x)), &singly(|x| dense.query(x))],
+        )?;
+        Ok([a, b, c, d, e, f])
+    };
+    let queries = [times_at(&anywhere)?, times_at(&surfaces)?];
     let bytes = [octree.query_memory(), octree.query_memory() + baked.memory(), dense.query_memory()];
     let [a, b, c] = bytes.map(|bytes| bytes as f64);
     let one_by_one = OneByOne(octree);
     let asked: [Option<&dyn ProbedField>; 5] = [None, Some(&one_by_one), Some(octree), Some(&baked), Some(&dense)];
-    let mut pictures = [0.0; 5];
-    for (seconds, field) in pictures.iter_mut().zip(asked) {
-        *seconds = picture(lego, field)?;
-    }
-    Ok(LevelRow { queries: times, costs: [a, b, c, seconds], pictures, file: None })
+    let seconds_of = alternating(&asked, &ROUNDS, |field, _| picture(lego, *field).map(Some))?;
+    let pictures = std::array::from_fn(|i| median(seconds_of[i].clone()));
+    Ok(LevelRow { queries, costs: [a, b, c, seconds], pictures, file: None })
 }
 
 /// Asked in the plain way, as pictures once did.
@@ -167,18 +170,14 @@ impl ProbedField for OneByOne<'_> {
     }
 }
 
-/// Seconds of a picture of a training camera with the mean of log10 U along its rays, median of five.
+/// Seconds of a picture of a training camera with the mean of log10 U along its rays.
 fn picture(lego: &Scene, field: Option<&dyn ProbedField>) -> Result<f64> {
     let tracer = lego.settings.tracer(&*lego.field, 0.0, &Silent)?;
     let probes: Vec<Probe> =
         field.map(|field| Probe { field, averages: &[RayAverage::WeightedMean] }).into_iter().collect();
-    let mut times = Vec::new();
-    for _ in 0..5 {
-        let start = Instant::now();
-        std::hint::black_box(render_view(&tracer, &lego.cameras[0], lego.field.pixel_offset(), &probes, &Silent)?);
-        times.push(start.elapsed().as_secs_f64());
-    }
-    Ok(median(times))
+    let start = Instant::now();
+    std::hint::black_box(render_view(&tracer, &lego.cameras[0], lego.field.pixel_offset(), &probes, &Silent)?);
+    Ok(start.elapsed().as_secs_f64())
 }
 
 /// Writes and reads a field: its vertices, and seconds.
