@@ -88,6 +88,10 @@ def test_samples_outside_the_box_are_refused_and_warned_of():
     samples["rays_total"] = [100, 100]
     with pytest.raises(ValueError, match=r"samples\['rays_total'\]: expected a whole number, .* found an array"):
         ob.accumulate(samples, **box)
+    n = 65_537
+    ray = {"positions": np.zeros((n, 3)), "jacobian": np.ones((n, 3, 3)), "ray": np.zeros(n, int), "rays_total": 1}
+    with pytest.raises(ValueError, match=r"samples\['ray'\]\[65536\]: expected at most 65536 samples of a ray"):
+        ob.accumulate(ray, **box)
 
 
 def test_directions_of_any_length_are_those_of_length_one(tmp_path):
