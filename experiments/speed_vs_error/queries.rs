@@ -20,7 +20,7 @@ use crate::common::work::Work;
 
 const POINTS: usize = 4_000_000;
 
-/// Rounds of which medians are taken.
+/// Every time is the median of these rounds.
 const ROUNDS: [u64; 5] = [0, 1, 2, 3, 4];
 
 /// A way to ask for all points.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use octobayes::glam::Vec3;
-use octobayes::rays::{MOST_SAMPLES, MissingShards, SamplesReader};
+use octobayes::rays::{Gathered, MissingShards, SamplesReader};
 use octobayes::render::{RaySample, RaySamples};
 use octobayes::session::{Accumulation, ScaleKind, TrainingPixels, check_fields};
 use octobayes::uncertainty::{self, UncertaintyField};
@@ -17,9 +17,6 @@ use crate::field::{Uncertainty, computed, json};
 use crate::options::Options;
 use crate::pool::without_python;
 use crate::work::work;
-
-/// Rays that are summed together.
-const BATCH: usize = 512;
 
 /// Compares a field with a reference; JSON, and what a user should know.
 #[pyfunction]
@@ -111,28 +108,13 @@ fn batched(
     weights: &[f32],
     total: u64,
 ) -> PyResult<Vec<RaySamples>> {
-    let mut batches = vec![RaySamples::default()];
-    let (mut previous, mut of_ray) = (0, 0);
+    let mut gathered = Gathered::new(total);
     let values = positions.as_chunks::<3>().0.iter().zip(jacobians.as_chunks::<9>().0);
     for (i, ((&ray, (position, &jacobian)), &weight)) in rays.iter().zip(values).zip(weights).enumerate() {
-        if ray < previous || ray >= total {
-            return Err(PyValueError::new_err(format!(
-                "samples['ray'][{i}]: expected from {previous} (non-decreasing) to below \
-                 rays_total = {total}, found {ray}"
-            )));
-        }
-        of_ray = if ray == previous { of_ray + 1 } else { 1 };
-        if of_ray > MOST_SAMPLES {
-            let expected = format!("at most {MOST_SAMPLES} samples of a ray");
-            return Err(PyValueError::new_err(format!("samples['ray'][{i}]: expected {expected}, found more")));
-        }
-        let last = batches.len() - 1;
-        if ray != previous && batches[last].rays.len() >= BATCH {
-            batches.push(RaySamples::default());
-        }
-        previous = ray;
-        let last = batches.len() - 1;
-        batches[last].push(ray, RaySample { position: Vec3::from_array(*position), jacobian, weight });
+        let sample = RaySample { position: Vec3::from_array(*position), jacobian, weight };
+        gathered.push(ray, sample).map_err(|(expected, found)| {
+            PyValueError::new_err(format!("samples['ray'][{i}]: expected {expected}, found {found}"))
+        })?;
     }
-    Ok(batches)
+    Ok(gathered.finish())
 }

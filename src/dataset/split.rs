@@ -45,9 +45,8 @@ impl Lists {
                 let mut seen = HashSet::new();
                 for name in names.iter().flatten().filter(|name| seen.insert(*name)) {
                     let found = of_name.get(&plain(folder, name)).ok_or_else(|| {
-                        let (place, expected) =
-                            (format!("list of {list} frames"), "names of frames, as in their `file_path`");
-                        Error::malformed(path, place, expected, format!("`{name}`"))
+                        let expected = "names of frames, as in their `file_path`";
+                        Error::malformed(path, format!("list of {list} frames"), expected, format!("`{name}`"))
                     })?;
                     found.iter().for_each(|&i| frames[i].purpose = Some(purpose));
                 }

@@ -7,7 +7,7 @@ use super::{PositionCheck, Subject};
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::Monitor;
-use crate::rays::{PixelSequence, Pixels, RaySource, RayStream, VolumeRays};
+use crate::rays::{MOST_SAMPLES, PixelSequence, Pixels, RaySource, RayStream, VolumeRays};
 use crate::render::{Differences, Differentiation, GradientMethod, LONGEST_STEP, Marcher, Occupancy, Stencil, Tracer};
 use crate::splats::{SplatRenderer, Splats};
 use crate::{Error, Result};
@@ -27,7 +27,7 @@ fn default_step(stencil: Stencil) -> f64 {
 const MIN_STEP_SPACINGS: f64 = 4.0;
 
 /// Maximal number of samples along a ray; hundreds of rays are in progress at once.
-const MAX_STEPS: f64 = 65_536.0;
+const MAX_STEPS: f64 = MOST_SAMPLES as f64;
 
 /// Settings of rays: which are drawn, and how they are sampled and differentiated.
 #[derive(Debug, Clone, Copy, PartialEq, Setters)]

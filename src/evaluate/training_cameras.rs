@@ -44,13 +44,10 @@ fn recognised(views: Views, wanted: u32, size: Option<[u32; 2]>) -> Option<Vec<N
         let at = |size: Option<[u32; 2]>| -> Vec<Camera> {
             frames.iter().map(|frame| size.map_or(frame.camera, |size| frame.camera.resized(size))).collect()
         };
-        let sizes = [None, size].map(at);
         // A run may have left the file's masks out. Those that cannot be read are not its own.
-        let is_wanted = |cameras: &&Vec<Camera>| {
-            let has_them = Camera::checksum(cameras) == wanted;
-            has_them || with_masks(&frames, cameras).is_some_and(|checksum| checksum == wanted)
-        };
-        let cameras = sizes.iter().find(is_wanted)?.clone();
+        let is_wanted =
+            |cameras: &Vec<Camera>| Camera::checksum(cameras) == wanted || with_masks(&frames, cameras) == Some(wanted);
+        let cameras = [None, size].into_iter().map(at).find(is_wanted)?;
         Some(frames.iter().zip(cameras).map(|(frame, camera)| NamedCamera::new(&frame.name, camera)).collect())
     };
     parts.into_iter().find_map(of)

@@ -6,6 +6,7 @@
 //! elsewhere come from a [file](SamplesReader) instead.
 
 mod by_camera;
+mod gathered;
 mod missing;
 mod pixels;
 mod portions;
@@ -16,10 +17,14 @@ mod shard;
 mod source;
 mod stream;
 
+// What only files and Python name.
+#[doc(hidden)]
+pub use gathered::Gathered;
+pub use gathered::MOST_SAMPLES;
 pub use missing::MissingShards;
 pub use pixels::Pixels;
 #[cfg(feature = "files")]
-pub use samples_file::{MOST_SAMPLES, SamplesReader, SamplesWriter};
+pub use samples_file::{SamplesReader, SamplesWriter};
 pub(crate) use seeds::Purpose;
 pub use shard::{RaySet, RunProgress, Shard};
 pub use stream::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};

@@ -20,6 +20,7 @@ use glam::Vec3;
 use npyz::{AutoSerialize, DType, WriteOptions, WriterBuilder};
 use zip::read::ZipFile;
 
+use super::Gathered;
 use crate::io::npy::ArrayStream;
 use crate::io::npz::{NpzReader, NpzWriter};
 use crate::io::{AtomicFile, Index, Real};
@@ -27,11 +28,6 @@ use crate::monitor::{Monitor, check};
 use crate::render::{RaySample, RaySamples};
 use crate::{Error, Result};
 
-/// Rays per batch when reading, and samples after which a batch ends with its ray.
-const BATCH: usize = 512;
-const SAMPLES: usize = 1 << 17;
-/// Most samples of a ray that are accepted from elsewhere: as many as a ray through a model may have steps.
-pub const MOST_SAMPLES: usize = 1 << 16;
 /// Number of batches passed on together.
 const GROUP: usize = 16;
 
@@ -190,45 +186,24 @@ impl SamplesReader {
         let mut weights = if self.has_weights { Some(d.stream::<Real>("weight")?) } else { None };
 
         monitor.begin("samples", self.samples);
-        let mut batches = vec![RaySamples::default()];
-        let (mut previous, mut of_ray) = (0, 0);
+        let mut gathered = Gathered::new(self.rays_total);
         for sample in 0..self.samples {
             let Index(ray) = self.present(rays.next_element()?, "ray", sample)?;
-            if ray < previous || ray >= self.rays_total {
-                let expected = format!("from {previous} (non-decreasing) to below rays_total = {}", self.rays_total);
-                return Err(Error::malformed(
-                    &self.path,
-                    format!("array `ray`, element {sample}"),
-                    expected,
-                    ray.to_string(),
-                ));
-            }
-            // Batches are cut only between rays, because a ray is summed as a whole.
-            of_ray = if ray == previous { of_ray + 1 } else { 1 };
-            if of_ray > MOST_SAMPLES {
-                let expected = format!("at most {MOST_SAMPLES} samples of a ray");
-                return Err(Error::malformed(&self.path, format!("array `ray`, element {sample}"), expected, "more"));
-            }
-            let last = batches.len() - 1;
-            let is_full = batches[last].rays.len() >= BATCH || batches[last].positions.len() >= SAMPLES;
-            if ray != previous && is_full {
-                monitor.advance(batches[last].positions.len() as u64);
-                if batches.len() >= GROUP {
-                    check(monitor)?;
-                    sink(&batches)?;
-                    batches.clear();
-                }
-                batches.push(RaySamples::default());
-            }
-            previous = ray;
-            let position = self.floats(&mut positions, sample)?;
+            let position = Vec3::from_array(self.floats(&mut positions, sample)?);
             let jacobian = self.floats(&mut jacobians, sample)?;
             let weight = match &mut weights {
                 Some(weights) => self.floats::<1>(weights, sample)?[0],
                 None => 0.0,
             };
-            if let Some(batch) = batches.last_mut() {
-                batch.push(ray, RaySample { position: Vec3::from_array(position), jacobian, weight });
+            let pushed = gathered.push(ray, RaySample { position, jacobian, weight });
+            let complete = pushed.map_err(|(expected, found)| {
+                Error::malformed(&self.path, format!("array `ray`, element {sample}"), expected, found)
+            })?;
+            let Some(samples) = complete else { continue };
+            monitor.advance(samples as u64);
+            if let Some(batches) = gathered.take(GROUP) {
+                check(monitor)?;
+                sink(&batches)?;
             }
         }
         // Reading past the last element verifies the archive's checksums.
@@ -236,7 +211,7 @@ impl SamplesReader {
         positions.next_element()?;
         jacobians.next_element()?;
         weights.iter_mut().try_for_each(|stream| stream.next_element().map(drop))?;
-        sink(&batches)?;
+        sink(&gathered.finish())?;
         monitor.end();
         Ok(())
     }
@@ -280,44 +255,4 @@ fn read_count(npz: &mut NpzReader, name: &str, path: &Path) -> Result<u64> {
     // Reading past it verifies the archive's checksum.
     stream.next_element()?;
     value.filter(|&v| v > 0).ok_or_else(|| Error::malformed(path, place(), "one integer above 0", "none or less"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::monitor::Silent;
-
-    /// A file of rays with so many samples each, and the number of samples in every batch that is read of it.
-    fn batches(rays: u64, samples: usize) -> Result<Vec<usize>> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("samples.npz");
-        let mut writer = SamplesWriter::create(&path)?;
-        for ray in 0..rays {
-            let mut batch = RaySamples::default();
-            let sample = RaySample { position: Vec3::ZERO, jacobian: [1.0; 9], weight: 0.5 };
-            (0..samples).for_each(|_| batch.push(ray, sample));
-            writer.add(&[batch])?;
-        }
-        writer.finish(rays, 1)?;
-        let mut sizes = Vec::new();
-        SamplesReader::open(&path)?.run(&Silent, |batches| {
-            sizes.extend(batches.iter().map(|batch| batch.positions.len()));
-            Ok(())
-        })?;
-        Ok(sizes)
-    }
-
-    #[test]
-    fn batches_end_by_their_rays_or_their_samples() {
-        assert_eq!(batches(1030, 3).unwrap(), [512 * 3, 512 * 3, 6 * 3]);
-        let long = SAMPLES / 4 + 1;
-        assert_eq!(batches(5, long).unwrap(), [4 * long, long]);
-    }
-
-    #[test]
-    fn a_ray_holds_no_more_samples_than_a_batch_may() {
-        assert_eq!(batches(2, MOST_SAMPLES).unwrap(), [2 * MOST_SAMPLES]);
-        let error = batches(1, MOST_SAMPLES + 1).unwrap_err().to_string();
-        assert!(error.contains("array `ray`, element 65536: expected at most 65536 samples of a ray"), "{error}");
-    }
 }

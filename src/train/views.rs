@@ -197,12 +197,6 @@ impl DatasetFiles {
         Aabb::centered_cube(HALF_EDGE)
     }
 
-    /// Names of the training images.
-    #[must_use]
-    pub fn names(&self) -> Vec<String> {
-        self.train.iter().map(|frame| frame.name.clone()).collect()
-    }
-
     /// Loads the images: those for training, then those held out.
     ///
     /// # Errors
@@ -279,6 +273,27 @@ mod tests {
         let path = folder.path().join("cameras.json");
         std::fs::write(&path, text).unwrap();
         scene_box(&path).map(|found| [found.min(), found.max()]).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn other_pixels_masks_and_orders_have_other_checksums() {
+        let camera = crate::field::ClosedForm::half_circle(1, [2, 2])[0];
+        let shot = |gray: u8, mask: Option<Mask>| {
+            let image = PosedImage::new([2, 2], vec![[gray, gray, gray, 255]; 4]);
+            Shot { name: "r".into(), camera, image, mask }
+        };
+        let half = || Some(Mask::new([2, 2], |column, _| column == 0));
+        let sets = [
+            vec![shot(1, None), shot(2, None)],
+            vec![shot(2, None), shot(1, None)],
+            vec![shot(1, None), shot(3, None)],
+            vec![shot(1, half()), shot(2, None)],
+            vec![shot(1, None), shot(2, half())],
+            vec![shot(1, None)],
+        ];
+        let sums: HashSet<u32> = sets.iter().map(|shots| Shot::checksum(shots)).collect();
+        assert_eq!(sums.len(), sets.len());
+        assert_eq!(Shot::checksum(&sets[3]), Shot::checksum(&[shot(1, half()), shot(2, None)]));
     }
 
     /// instant-ngp's cube holds `scale` x + `offset`: its corners are found by solving for x.

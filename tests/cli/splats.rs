@@ -316,12 +316,16 @@ fn training_cameras_with_masks_are_recognised() {
         .unwrap();
     let cameras = folder.join("transforms.json");
     let mut file: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&cameras).unwrap()).unwrap();
+    good(folder, &format!("{RUN} -o plain.oct"));
     file["frames"][2]["mask_path"] = "mask.png".into();
     std::fs::write(&cameras, file.to_string()).unwrap();
     good(folder, &format!("{RUN} -o scene.oct"));
     let judge = format!("evaluate scene.ply scene.oct {JUDGE}");
-    let out = good(folder, &judge);
-    assert!(out.contains("angle to a training view"), "{out}");
+    // The same cameras without the masks, too.
+    for judge in [&judge, &judge.replace("scene.oct", "plain.oct")] {
+        let out = good(folder, judge);
+        assert!(out.contains("angle to a training view"), "{out}");
+    }
     // With another mask they are other cameras.
     file["frames"][1]["mask_path"] = "mask.png".into();
     std::fs::write(&cameras, file.to_string()).unwrap();

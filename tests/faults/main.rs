@@ -1,5 +1,6 @@
 //! What can go wrong around the program: faulty input, files in the way, failures of the machine, runs that are killed.
 
+mod desk;
 mod errors;
 mod files;
 #[cfg(unix)]

@@ -2,11 +2,12 @@
 
 use glam::{DVec3, Vec3};
 
-use super::{LOOK_PIXELS, Member};
+use super::LOOK_PIXELS;
+use super::member::Member;
 use crate::estimate::Framing;
 use crate::field::HashGrid;
 use crate::geometry::{Aabb, Camera, Domain};
-use crate::train::{Quality, Shot, one_color};
+use crate::train::{DatasetFiles, Quality, Shot, one_color};
 use crate::{Error, Result};
 
 /// A model has learnt nothing if it is less than this many dB better than one colour for all images. At 1 dB a
@@ -34,6 +35,14 @@ pub(super) fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
     }
     announce!("warning: the cameras see little of the space to be trained: {measured}; likely causes: {causes}");
     Ok(())
+}
+
+/// Says where the scene is, if that is the camera file's word and not the usual place.
+pub(super) fn note_box(bounds: Aabb, files: &DatasetFiles) {
+    if bounds == files.bounds && bounds != DatasetFiles::unit_cube() {
+        let [low, high] = [bounds.min(), bounds.max()];
+        announce!("note: the scene is from {low:.3} to {high:.3}, as the camera file says (--box for another box)");
+    }
 }
 
 /// Says on stderr if cameras stand where space is contracted: what they see from nearby has fewer cells than it could.

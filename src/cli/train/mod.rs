@@ -1,6 +1,7 @@
 //! `train`: from images to a model, or to an ensemble of models.
 
 mod checks;
+mod member;
 mod splats;
 
 use std::path::{Path, PathBuf};
@@ -8,10 +9,10 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 use glam::{DVec3, Vec3};
-use serde::Serialize;
 use serde_json::json;
 
-use self::checks::{check_framing, is_finished, warn_of_one_color};
+use self::checks::{check_framing, is_finished, note_box, warn_of_one_color};
+use self::member::{Member, state_file};
 use super::files::CommandFiles;
 use super::given::Given;
 use super::options::{
@@ -24,8 +25,8 @@ use crate::monitor::Monitor;
 use crate::posterior::DataScale;
 use crate::session::Resolution;
 use crate::train::{
-    Background, Budget, DatasetFiles, Description, Finished, Quality, Run, Selection, Shot, StateFile, TrainSettings,
-    Trainer, Training, quality, quality_within,
+    Background, Budget, DatasetFiles, Finished, Quality, Run, Selection, Shot, TrainSettings, Trainer, Training,
+    quality, quality_within,
 };
 use crate::{Error, Result};
 
@@ -200,27 +201,6 @@ fn measuring(time: Duration) -> Duration {
     time.mul_f64(0.1).max(Duration::from_secs(2))
 }
 
-/// Where the state of a model's run is kept.
-fn state_file(model: &Path) -> PathBuf {
-    model.with_extension("state")
-}
-
-/// Says where the scene is, if that is the camera file's word and not the usual place.
-fn note_box(bounds: Aabb, files: &DatasetFiles) {
-    if bounds == files.bounds && bounds != DatasetFiles::unit_cube() {
-        let [low, high] = [bounds.min(), bounds.max()];
-        announce!("note: the scene is from {low:.3} to {high:.3}, as the camera file says (--box for another box)");
-    }
-}
-
-/// One model to train.
-struct Member {
-    settings: TrainSettings,
-    path: PathBuf,
-    state: StateFile,
-    description: serde_json::Value,
-}
-
 impl Args {
     /// Runs the verb.
     pub fn run(self, given: &Given, bars: &Bars) -> Result<()> {
@@ -277,63 +257,6 @@ impl Args {
                 files.output("--output", &model).output("the state of --output", state_file(&model))
             })
             .input("DATASET", dataset)
-    }
-
-    /// The file of the k-th model.
-    fn member_file(&self, k: u64) -> PathBuf {
-        if self.members == 1 {
-            return self.output.clone();
-        }
-        let mut name = self.output.file_stem().unwrap_or_default().to_os_string();
-        name.push(format!("-{k}.safetensors"));
-        self.output.with_file_name(name)
-    }
-
-    /// The k-th model.
-    fn member(&self, k: u64, files: &DatasetFiles, train: &[Shot]) -> Result<Member> {
-        let settings = TrainSettings {
-            config: HashGridConfig { log2_hashmap_size: self.log2_hashmap_size, ..HashGridConfig::default() },
-            seed: self.seed.wrapping_add(k),
-            background: self.background,
-            samples_per_step: self.samples_per_step,
-            ..TrainSettings::default()
-        };
-        let path = self.member_file(k);
-        let state = state_file(&path);
-        let description = self.description(files, train, settings, self.domain(files)?)?;
-        let key = description.to_string();
-        let state = StateFile { path: state, key, every: StateFile::EVERY };
-        // A restart replaces this file, so it must not be another one.
-        if self.restart && state.path.exists() {
-            state.check()?;
-        }
-        Ok(Member { settings, path, state, description })
-    }
-
-    /// What a run with these settings must share with the one that it resumes.
-    fn description<S: Serialize>(
-        &self,
-        files: &DatasetFiles,
-        train: &[Shot],
-        settings: S,
-        domain: Domain,
-    ) -> Result<serde_json::Value> {
-        let budget = match self.budget() {
-            Budget::Steps(steps) => format!("{steps} steps"),
-            Budget::Time(time) => format!("{} s", time.as_secs_f64()),
-        };
-        let description = Description {
-            version: env!("CARGO_PKG_VERSION"),
-            dataset: files.path.display().to_string(),
-            cameras: Description::checksum(&files.path)?,
-            views: self.views.clone().unwrap_or_default(),
-            images: train.len(),
-            pictures: Shot::checksum(train),
-            settings,
-            domain,
-            budget,
-        };
-        serde_json::to_value(description).map_err(|e| Error::setting("run", "a description", e.to_string()))
     }
 
     /// Trains one model and writes it, finished or not.

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::checks::{check_framing, warn_of_one_color};
-use super::{Args, LOOK_PIXELS, state_file};
+use super::checks::{check_framing, note_box, warn_of_one_color};
+use super::member::state_file;
+use super::{Args, LOOK_PIXELS};
 use crate::cli::files::CommandFiles;
 use crate::cli::given::Given;
 use crate::cli::progress::Bars;
@@ -115,7 +116,7 @@ impl Args {
         let mut points = files.points()?;
         points.retain(|point| self.bounds.is_none_or(|bounds| bounds.contains(point.position.as_vec3())));
         let bounds = self.bounds.or_else(|| box_of_points(&points)).unwrap_or(files.bounds);
-        super::note_box(bounds, &files);
+        note_box(bounds, &files);
         let domain = Domain::Box(bounds);
         let [train, held_out] = files.load(bars)?;
         beside.check_names(&train)?;

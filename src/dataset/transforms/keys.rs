@@ -188,8 +188,8 @@ impl RawFile {
         };
         if is_other(&self.scale, NGP_SCALE) || is_other(&self.offset, NGP_OFFSET) {
             notes.push(format!(
-                "`scale` and `offset` are not instant-ngp's {NGP_SCALE} and {NGP_OFFSET}, with which a Plenoptic PNG \
-                 is read all the same"
+                "`scale` and `offset` are not instant-ngp's {NGP_SCALE} and {NGP_OFFSET}, but Plenoptic PNGs are read \
+                 with these"
             ));
         }
         if frames.iter().any(|frame| frame.time != frames[0].time) {
