@@ -21,15 +21,53 @@ pub fn kitchen(folder: &Path) -> Result<DepthFiles> {
     Ok(DepthFiles { folder, pattern, scale: Some([0.0, MILLIMETRES]), kind: DepthKind::Z })
 }
 
+/// Focal lengths in pixels of the sensor's images, 640 × 480, with the principal point in the middle. Colour and depth
+/// have a camera each; the file `camera-intrinsics.txt` beside the frames is that of depth.
+const COLOR_FOCAL: f64 = 525.0;
+const DEPTH_FOCAL: f64 = 585.0;
+/// From the depth camera to the colour camera, metres, OpenCV axes: rotation by rows, and translation.
+const REGISTRATION: ([[f64; 3]; 3], [f64; 3]) = (
+    [
+        [0.99996518, 0.00267651, -0.00790410],
+        [-0.00274093, 0.99996303, -0.00815045],
+        [0.00788199, 0.00817183, 0.99993555],
+    ],
+    [-0.02555894, 0.00010110, 0.00203183],
+);
 /// Depth of white, metres: the sensor's unit is a millimetre.
 const MILLIMETRES: f64 = 65.535;
 /// One frame in this many is held out.
 const HELD_OUT: usize = 4;
-/// Four neighbouring readings that differ by more than this, millimetres, straddle an edge.
-const EDGE: u16 = 50;
+/// Readings of one pixel that differ by more than this, millimetres, straddle an edge.
+const EDGE: f64 = 50.0;
+/// Readings that a pixel of half the size needs: some five fall into each.
+const READINGS: usize = 3;
 
-/// Converts the RGB-D frames: half the size, OpenGL axes, depth only where four neighbouring readings agree; a box
-/// around everything that was seen and the cameras.
+/// Depth along the colour camera's axis in an image of 320 × 240, millimetres, from what the depth camera saw; 0 where
+/// its readings are few, or straddle an edge.
+fn registered(depth: &ImageBuffer<Luma<u16>, Vec<u16>>) -> ImageBuffer<Luma<u16>, Vec<u16>> {
+    let (rows, shift) = (REGISTRATION.0.map(DVec3::from), DVec3::from(REGISTRATION.1));
+    let mut readings = vec![Vec::new(); 320 * 240];
+    for (x, y, pixel) in depth.enumerate_pixels().filter(|(_, _, p)| !matches!(p.0[0], 0 | u16::MAX)) {
+        let z = f64::from(pixel.0[0]) / 1000.0;
+        let seen = DVec3::new(f64::from(x) + 0.5 - 320.0, f64::from(y) + 0.5 - 240.0, DEPTH_FOCAL) * (z / DEPTH_FOCAL);
+        let seen = DVec3::from(rows.map(|row| row.dot(seen))) + shift;
+        let [u, v] = [seen.x, seen.y].map(|a| 0.5 * COLOR_FOCAL * a / seen.z);
+        let (u, v) = ((u + 160.0).floor(), (v + 120.0).floor());
+        if (0.0..320.0).contains(&u) && (0.0..240.0).contains(&v) {
+            readings[v as usize * 320 + u as usize].push(1000.0 * seen.z);
+        }
+    }
+    ImageBuffer::from_fn(320, 240, |x, y| {
+        let here = &readings[(y * 320 + x) as usize];
+        let [least, most] = [f64::min, f64::max].map(|either| here.iter().copied().reduce(either).unwrap_or(0.0));
+        let is_known = here.len() >= READINGS && most - least <= EDGE;
+        Luma([if is_known { (here.iter().sum::<f64>() / here.len() as f64).round() as u16 } else { 0 }])
+    })
+}
+
+/// Converts the RGB-D frames: half the size, OpenGL axes, depth as the colour camera would see it; a box around
+/// everything that was seen and the cameras.
 fn convert(source: &Path, folder: &Path) -> Result<()> {
     let staged = folder.with_extension("part");
     for part in ["images", "depth"] {
@@ -58,7 +96,7 @@ fn convert(source: &Path, folder: &Path) -> Result<()> {
         let camera = Camera {
             position: column(3),
             axes: DMat3::from_cols(column(0), -column(1), -column(2)),
-            focal: [292.5; 2],
+            focal: [0.5 * COLOR_FOCAL; 2],
             center: [160.0, 120.0],
             resolution: [320, 240],
             distortion: Distortion::default(),
@@ -68,13 +106,7 @@ fn convert(source: &Path, folder: &Path) -> Result<()> {
         color.resize_exact(320, 240, FilterType::Triangle).to_rgb8().save(&path).map_err(unwritable(&path))?;
 
         let depth = picture(&source.join(format!("{name}.depth.png")))?.to_luma16();
-        let half = ImageBuffer::from_fn(320, 240, |x, y| {
-            let around = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(u, v)| depth.get_pixel(2 * x + u, 2 * y + v).0[0]);
-            let (least, most) = (around.into_iter().min().unwrap_or(0), around.into_iter().max().unwrap_or(0));
-            let known = least > 0 && most < u16::MAX && most - least <= EDGE;
-            let mean = around.map(u32::from).iter().sum::<u32>() / 4;
-            Luma([if known { mean as u16 } else { 0 }])
-        });
+        let half = registered(&depth);
         for (x, y, pixel) in half.enumerate_pixels().filter(|(_, _, p)| p.0[0] > 0) {
             let ray = camera.ray(f64::from(x) + 0.5, f64::from(y) + 0.5);
             let z = f64::from(pixel.0[0]) / 1000.0;
@@ -102,7 +134,7 @@ fn convert(source: &Path, folder: &Path) -> Result<()> {
             })
             .collect();
         let file = serde_json::json!({
-            "fl_x": 292.5, "fl_y": 292.5, "cx": 160.0, "cy": 120.0, "w": 320, "h": 240,
+            "fl_x": 0.5 * COLOR_FOCAL, "fl_y": 0.5 * COLOR_FOCAL, "cx": 160.0, "cy": 120.0, "w": 320, "h": 240,
             "aabb": [low.to_array(), high.to_array()], "frames": frames,
         });
         let path = staged.join(format!("transforms_{split}.json"));
