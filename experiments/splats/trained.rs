@@ -1,4 +1,4 @@
-//! Splats that `train --splats` fits to few views of meshes: which of them float off the surface, and which did no
+//! Splats that `train --splats` fits to few views of meshes: which of them are far from the surface, and which did no
 //! camera see?
 
 use glam::DVec3;
@@ -21,15 +21,15 @@ const SIDE: u32 = 128;
 const SAMPLES: u32 = 3;
 const VIEWS: u32 = 12;
 const STEPS: u64 = 1000;
-/// A splat farther from the surface than this part of the mesh's length floats.
-const FLOATS: f64 = 0.02;
+/// A splat farther from the surface than this part of the mesh's length, outside or inside, is far.
+const FAR: f64 = 0.02;
 /// A splat is hidden if something stands in front of it by more than this part of the length.
 const HIDDEN: f64 = 0.01;
 
 /// The figures of one score.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 struct Figures {
-    floaters: f64,
+    far: f64,
     /// Spearman's ρ with the distance from the surface.
     rank: f64,
     never_seen: f64,
@@ -44,7 +44,7 @@ struct Row {
     splats: usize,
     /// Of the training images, dB.
     psnr: f64,
-    /// Shares of splats that float, and that no camera saw.
+    /// Shares of splats that are far, and that no camera saw.
     shares: [f64; 2],
     /// `[NAMES]`.
     scores: Vec<Figures>,
@@ -53,9 +53,9 @@ struct Row {
 pub fn settings() -> String {
     format!(
         "{VIEWS} views of {SIDE} × {SIDE} pixels, {STEPS} steps, seed 0; every pixel, level {LEVEL}, `--scale data` \
-         with the error of the training images. A splat floats if its centre is farther than {:.0} % of the mesh's \
-         length from the surface.",
-        100.0 * FLOATS
+         with the error of the training images. A splat is far if its centre is farther than {:.0} % of the mesh's \
+         length from the surface, outside or inside.",
+        100.0 * FAR
     )
 }
 
@@ -70,13 +70,13 @@ pub fn tables(work: &Work) -> Result<String> {
             rows.push((format!("{mesh}, {side}"), row?));
         }
     }
-    let mut models = Table::new(&["model", "splats", "training images, dB", "floaters", "never seen"]);
+    let mut models = Table::new(&["model", "splats", "training images, dB", "far", "never seen"]);
     for (name, row) in &rows {
-        let [floaters, unseen] = row.shares.map(|share| format!("{share:.3}"));
-        models.row(&[name.clone(), row.splats.to_string(), format!("{:.1}", row.psnr), floaters, unseen]);
+        let [far, unseen] = row.shares.map(|share| format!("{share:.3}"));
+        models.row(&[name.clone(), row.splats.to_string(), format!("{:.1}", row.psnr), far, unseen]);
     }
     let figures: [Shown; 3] = [
-        ("AUROC of floaters", |f| f.floaters),
+        ("AUROC of splats far from the surface", |f| f.far),
         ("Spearman's ρ with the distance from the surface", |f| f.rank),
         ("AUROC of splats that no camera saw", |f| f.never_seen),
     ];
@@ -114,12 +114,12 @@ fn measure(mesh: &str, settings: &DatasetSettings) -> Result<Row> {
     let length = scene::length(&truth);
     let centres: Vec<DVec3> = splats.means().iter().map(|x| x.as_dvec3()).collect();
     let distances = surface::distances(&truth, &centres);
-    let floats: Vec<bool> = distances.iter().map(|d| *d > FLOATS * length).collect();
+    let is_far: Vec<bool> = distances.iter().map(|d| *d > FAR * length).collect();
     let sightings = surface::sightings(&truth, &cameras, &centres, HIDDEN * length);
     let unseen: Vec<bool> = sightings.iter().map(|cameras| *cameras == 0).collect();
     let area = |score: &[f64], truth: &[bool]| Detection::new(score, truth).map_or(f64::NAN, |found| found.auroc);
     let figures = |score: &Vec<f64>| Figures {
-        floaters: area(score, &floats),
+        far: area(score, &is_far),
         rank: spearman(score, &distances).unwrap_or(0.0),
         never_seen: area(score, &unseen),
     };
@@ -128,7 +128,7 @@ fn measure(mesh: &str, settings: &DatasetSettings) -> Result<Row> {
     Ok(Row {
         splats: splats.len(),
         psnr,
-        shares: [share(&floats), share(&unseen)],
+        shares: [share(&is_far), share(&unseen)],
         scores: scores.iter().map(figures).collect(),
     })
 }
