@@ -278,12 +278,8 @@ impl<P: Finish> Builder<P> {
             pooling: settings.pooling,
             criteria: settings.criteria,
             covariance: settings.covariance,
-            // A dense grid leaves nothing out, but pooling needs to know which vertices moved.
-            tolerance: if settings.grid == GridKind::Dense && !settings.pooling.is_on() {
-                0.0
-            } else {
-                settings.tolerance
-            },
+            // A dense grid leaves nothing out.
+            tolerance: if settings.grid == GridKind::Dense { 0.0 } else { settings.tolerance },
             march_step: volume.map(|volume| volume.tracer.marcher.step),
             gradient: stream.map(|s| s.source.method()),
             difference_step: volume.and_then(|volume| volume.differentiation.difference_step()),

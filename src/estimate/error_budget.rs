@@ -39,7 +39,7 @@ impl ErrorBudget {
     #[must_use]
     pub fn of_field(field: &UncertaintyField) -> Self {
         let coarse_leaves = match field.support() {
-            Support::Octree(_) => field.record().tolerance,
+            Support::Octree(_) => field.record().pooling.largest_change(field.record().tolerance),
             Support::Dense => 0.0,
         };
         let every = field.record().pixels == Some(Pixels::Every) && !field.is_part();
@@ -51,7 +51,7 @@ impl ErrorBudget {
     #[must_use]
     pub fn of_settings(grid: &GridSettings) -> Self {
         let coarse_leaves = match grid.grid {
-            GridKind::Octree => grid.tolerance,
+            GridKind::Octree => grid.pooling.largest_change(grid.tolerance),
             GridKind::Dense => 0.0,
         };
         Self { coarse_leaves, is_limited: grid.needs_plan(), rays: None, audit: None, step: None }

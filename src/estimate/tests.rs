@@ -1,6 +1,7 @@
 //! The whole pipeline on small scenes.
 
 mod entries;
+mod pooling;
 mod splats;
 
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::means::BLOCK;
 use super::octree::TOGETHER;
-use super::pooling::Pooling;
+use super::pooling::{MOVES, Pooling};
 use super::shrinkage::{Block, Shrinkage};
 use super::{Covariance, OctreePosterior, Scale, Sums, VertexSums, negligible_information};
 use crate::geometry::Lattice;
@@ -42,16 +42,17 @@ impl Reading {
         self.deviation(&VertexSums::default())
     }
 
-    /// Information (tr S) that is negligible compared with the prior.
+    /// Information (tr S) that is negligible compared with the prior, so that an octree needs no vertex for it.
     #[must_use]
     pub fn floor(&self) -> f64 {
-        negligible_information(self.tolerance, self.rays, self.lambda)
+        negligible_information(self.tolerance.min(self.pooling.largest_change(self.tolerance)), self.rays, self.lambda)
     }
 
     /// What pools sums, if anything does.
     #[must_use]
     pub fn shrinkage(&self) -> Option<Shrinkage> {
-        let shrinkage = Shrinkage { floor: self.floor(), prior: self.lambda * self.rays as f64 };
+        let floor = negligible_information(MOVES, self.rays, self.lambda);
+        let shrinkage = Shrinkage { floor, prior: self.lambda * self.rays as f64 };
         self.pooling.is_on().then_some(shrinkage)
     }
 

@@ -2,6 +2,10 @@
 
 use std::fmt::{Display, Formatter};
 
+/// To pooling a vertex has moved if its own information changes log10 U by more than this, decades. The octree's tolerance
+/// must not decide that: whether a vertex counts changes its neighbours by decades, on a dense grid as well.
+pub const MOVES: f64 = 0.01;
+
 /// Whether a vertex near few rays borrows from its neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
@@ -20,6 +24,12 @@ impl Pooling {
     #[must_use]
     pub fn is_on(self) -> bool {
         self != Self::Off
+    }
+
+    /// Largest change of log10 U by what an octree of this `tolerance` leaves out.
+    #[must_use]
+    pub fn largest_change(self, tolerance: f64) -> f64 {
+        if self.is_on() { MOVES } else { tolerance }
     }
 }
 

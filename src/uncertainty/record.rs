@@ -39,8 +39,7 @@ pub struct RunRecord {
     pub criteria: Criteria,
     /// Largest change of log10 U due to leaves coarser than the finest level.
     ///
-    /// What [`RunRecord::cutoff`] leaves out is not included. On a dense grid it only determines which vertices count
-    /// for pooling.
+    /// What [`RunRecord::cutoff`] leaves out is not included. With pooling it is 0.01 at most, whatever this is.
     pub tolerance: f64,
     /// Distance between samples along rays, scene units.
     pub march_step: Option<f64>,
