@@ -1,14 +1,15 @@
 //! A field under construction.
 
 use std::collections::BTreeSet;
-use std::ops::{AddAssign, Range};
+use std::ops::AddAssign;
 use std::path::Path;
+
+use glam::Vec3;
 
 use super::checkpoint::{self, RunKey, State};
 use super::{GridKind, GridSettings, Plan, Summed};
 use crate::geometry::{Domain, Lattice};
-use crate::io::mix;
-use crate::octree::{Cell, MaxLevels, Octree, morton};
+use crate::octree::{Cell, MaxLevels, Octree, Tile, morton};
 use crate::posterior::{DensePosterior, OctreePosterior, Posterior, RayCoverage, Refinement, Sums, VertexSums};
 use crate::rays::{RaySet, RayStream, RunProgress, SURFACE_WEIGHT, Shard, VolumeRays};
 use crate::render::RaySamples;
@@ -33,11 +34,14 @@ pub struct FieldSource<'a> {
 /// [`RayStream::surface_points`] finds more, and [`UncertaintyField::with_surface`] keeps them.
 pub const SURFACE_POINTS: usize = 16_384;
 
-/// Number of rays, spread over a run of splats, that yields about [`SURFACE_POINTS`] points.
-const SURFACE_RAYS: u64 = SURFACE_POINTS as u64 / 4;
-
 /// Maximal number of cells that criteria other than sensitivity may ask for: 3 GB of their keys.
 const MAX_WANTED_CELLS: u64 = 1 << 27;
+
+/// Whether a point lies in the domain, and in the tile if there is one. Matter elsewhere has no U of its own.
+pub(super) fn is_own(lattice: &Lattice, tile: Option<Tile>, x: Vec3) -> bool {
+    let cell = lattice.coordinates(x).map(|u| lattice.cell(u).0);
+    cell.is_some_and(|cell| tile.is_none_or(|tile| tile.owns(lattice.level(), cell)))
+}
 
 /// All finest cells.
 fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
@@ -79,8 +83,6 @@ pub(super) struct Builder<P> {
     wanted: Vec<Cell>,
     posterior: P,
     surface: Vec<[f32; 3]>,
-    /// Rays whose mixed index is above this keep no surface points.
-    surface_rays: u64,
     /// Rays seen passing; `None` if it is not known where they passed.
     ray_coverage: Option<RayCoverage>,
 }
@@ -96,14 +98,8 @@ impl<P: Finish> Builder<P> {
         let posterior = P::empty(lattice, &limits, settings.tile);
         let wanted = if settings.criteria.uniform { every_cell(&lattice)? } else { Vec::new() };
         let rays_per_vertex = plan.map_or(0.0, |plan| plan.rays_per_vertex);
-        let (surface, surface_rays, ray_coverage) = (Vec::new(), u64::MAX, None);
-        Ok(Self { settings, lattice, limits, rays_per_vertex, wanted, posterior, surface, surface_rays, ray_coverage })
-    }
-
-    /// Takes surface points from all of a run of `rays` rays: those of splats come camera by camera, so that the first
-    /// see only a part of the scene.
-    pub fn spread_surface(&mut self, rays: u64) {
-        self.surface_rays = u64::MAX / (rays / SURFACE_RAYS).max(1);
+        let (surface, ray_coverage) = (Vec::new(), None);
+        Ok(Self { settings, lattice, limits, rays_per_vertex, wanted, posterior, surface, ray_coverage })
     }
 
     /// Starts over on the leaves of `plan`.
@@ -163,21 +159,10 @@ impl<P: Finish> Builder<P> {
         if batches.iter().any(|batch| !batch.sight.is_empty()) {
             self.ray_coverage.get_or_insert_with(|| RayCoverage::new(&self.lattice)).add(batches);
         }
-        // In a random sequence the first points are as good as any.
-        let most = self.surface_rays;
-        let keeps = move |(ray, _): &(u64, Range<usize>)| mix(*ray) <= most;
-        let kept =
-            batches.iter().flat_map(|batch| batch.iter().filter(keeps).map(move |(_, samples)| (batch, samples)));
-        let visible =
-            kept.flat_map(|(batch, samples)| batch.positions[samples.clone()].iter().zip(&batch.weights[samples]));
-        let lattice = self.lattice;
-        // Matter outside the domain has no U of its own.
-        let tile = self.settings.tile;
-        let is_own = |x| {
-            let cell = lattice.coordinates(x).map(|u| lattice.cell(u).0);
-            cell.is_some_and(|cell| tile.is_none_or(|tile| tile.owns(lattice.level(), cell)))
-        };
-        let visible = visible.filter(|(x, weight)| **weight >= SURFACE_WEIGHT && is_own(**x));
+        // In a random sequence the first points are as good as any. A run that traces rays itself replaces them.
+        let (lattice, tile) = (self.lattice, self.settings.tile);
+        let visible = batches.iter().flat_map(|batch| batch.positions.iter().zip(&batch.weights));
+        let visible = visible.filter(|(x, weight)| **weight >= SURFACE_WEIGHT && is_own(&lattice, tile, **x));
         self.keep_surface(visible.map(|(x, _)| x.to_array()));
     }
 

@@ -60,11 +60,6 @@ impl FieldBuilder {
         either!(&mut self.0, builder => builder.want_density(stream))
     }
 
-    /// Takes surface points from rays that are spread over all of a run of `rays` rays.
-    pub(super) fn spread_surface(&mut self, rays: u64) {
-        either!(&mut self.0, builder => builder.spread_surface(rays));
-    }
-
     /// Adds rays.
     pub fn add(&mut self, batches: &[RaySamples]) {
         either!(&mut self.0, builder => builder.add(batches));

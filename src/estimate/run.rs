@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
-use super::builder::{Builder, Finish};
+use super::builder::{Builder, Finish, is_own};
 use super::checkpoint::rays_per_vertex;
 use super::derivatives;
 use super::draw::{Drawn, Part, draw};
@@ -14,7 +14,7 @@ use super::limits::Limits;
 use super::mean_error;
 use super::{
     Audit, CoverageCheck, ErrorBudget, FieldBuilder, FieldSource, GridKind, GridSettings, Plan, Planner, PositionCheck,
-    RayError, StepCheck,
+    RayError, SURFACE_POINTS, StepCheck,
 };
 use crate::geometry::{Aabb, Lattice, kept_pixels};
 use crate::octree::Leaves;
@@ -49,7 +49,12 @@ pub struct Run<'a> {
     lattice: Lattice,
     stream: RayStream<'a>,
     pub(super) limits: Limits,
+    /// Points on visible surfaces, which the field keeps.
+    surface: Vec<[f32; 3]>,
 }
+
+/// Most rays that are traced in search of points on visible surfaces, most of which may miss all matter.
+const MOST_SURFACE_RAYS: u64 = 1 << 16;
 
 impl<'a> Estimation<'a> {
     /// Prepares everything that precedes the first ray: lattice, occupancy grid, and a plan if
@@ -80,7 +85,7 @@ impl<'a> Run<'a> {
         let lattice = settings.grid.lattice(settings.domain)?;
         let stream = settings.stream(&settings.rays, &lattice)?;
         let limits = Limits::within(settings.grid.memory);
-        let mut run = Self { settings, lattice, stream, limits };
+        let mut run = Self { settings, lattice, stream, limits, surface: Vec::new() };
         if run.settings.grid.needs_plan() {
             let planner = run.pilot(&run.stream)?;
             let mut plan = planner.plan()?;
@@ -222,13 +227,29 @@ impl<'a> Run<'a> {
     /// # Errors
     /// If the field is not finite on too many rays, the memory budget does not hold the coarsest leaves, a
     /// checkpoint cannot be read or written, a [tap](Estimation::tap) fails, or the work was interrupted.
-    pub fn finish(self) -> Result<Outcome> {
+    pub fn finish(mut self) -> Result<Outcome> {
+        self.surface = self.surface_points()?;
         let grid = &self.settings.grid;
         match (grid.grid, grid.entries(self.settings.own_shard().of > 1)) {
             (GridKind::Dense, _) => self.finish_with::<DensePosterior>(),
             (GridKind::Octree, Entries::All) => self.finish_with::<OctreePosterior>(),
             (GridKind::Octree, Entries::Diagonal) => self.finish_with::<OctreePosterior<DiagonalSums>>(),
         }
+    }
+
+    /// Points on visible surfaces, along other rays than those that the field is computed from: U is lower where a ray
+    /// of its own passes, by half a decade if rays are few. They are the same for all shards of a run.
+    ///
+    /// If every pixel is drawn, these are some of the same pixels. Then the rays are all that training shows, and those
+    /// points are a fair sample of it.
+    fn surface_points(&self) -> Result<Vec<[f32; 3]>> {
+        let Estimation { grid, rays, monitor, .. } = &self.settings;
+        let (stream, lattice) = (self.stream.for_purpose(Purpose::Surface), &self.lattice);
+        let is_inside = |x| is_own(lattice, None, x);
+        let rays = rays.rays.min(MOST_SURFACE_RAYS);
+        let mut points = stream.surface_points_where(&is_inside, SURFACE_POINTS, rays, *monitor)?;
+        points.retain(|&x| is_own(lattice, grid.tile, x.into()));
+        Ok(points)
     }
 
     fn finish_with<P: Finish>(self) -> Result<Outcome> {
@@ -322,11 +343,9 @@ impl<'a> Run<'a> {
             let grid = grid.keep_sums(grid.keep_sums || self.settings.own_shard().of > 1);
             let mut builder = FieldBuilder::new(grid, *domain)?;
             builder.want_density(&self.stream)?;
-            if self.stream.source.splats().is_some() {
-                builder.spread_surface(self.settings.rays.rays);
-            }
             builders.push((builder, Duration::ZERO));
         }
+        self.surface = self.surface_points()?;
         let shard = self.settings.own_shard();
         let progress = self.stream.run(shard, RunProgress::default(), self.settings.monitor, |batches, _| {
             for (builder, summing) in &mut builders {
@@ -346,11 +365,7 @@ impl<'a> Run<'a> {
 
     /// Creates a builder on the plan's leaves.
     fn builder<P: Finish>(&self) -> Result<Builder<P>> {
-        let mut builder = Builder::new(self.settings.grid, self.settings.domain, self.limits.plan.as_ref())?;
-        if self.stream.source.splats().is_some() {
-            builder.spread_surface(self.settings.rays.rays);
-        }
-        Ok(builder)
+        Builder::new(self.settings.grid, self.settings.domain, self.limits.plan.as_ref())
     }
 
     /// The checkpoint's files, one for each group; `[None]` without a checkpoint.
@@ -367,6 +382,7 @@ impl<'a> Run<'a> {
     }
 
     fn outcome(&self, field: UncertaintyField, progress: RunProgress, sums_bytes: usize, summing: Duration) -> Outcome {
+        let field = field.with_surface(self.surface.clone());
         let field = self.settings.model.iter().fold(field, |field, &checksum| field.with_model(checksum));
         let plan = self.limits.plan.clone().filter(|_| self.settings.grid.grid == GridKind::Octree);
         let (errors, is_replanned) = (ErrorBudget::of_field(&field), self.limits.is_replanned);

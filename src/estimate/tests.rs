@@ -3,6 +3,7 @@
 mod entries;
 mod pooling;
 mod splats;
+mod surface;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -150,11 +151,13 @@ fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
         Estimation::new(&field, &cameras).rays(settings(8)).grid(grid).run().unwrap();
     assert!(progress.samples > 20 && found.validate().is_ok());
     // Here every ray meets vertices of its own. Where a sample was sensitive, one ray supports the number.
-    let seen = found.surface().iter().filter(|x| {
+    let run = Estimation::new(&field, &cameras).rays(settings(8)).grid(grid).prepare().unwrap();
+    let hit = run.stream().surface_points(usize::MAX, 8, &Silent).unwrap();
+    let seen = hit.iter().filter(|x| {
         let estimate = found.query(Vec3::from_array(**x));
         estimate.level == 16 && estimate.uncertainty < 0.9 * found.prior() && estimate.rays == Some(1.0)
     });
-    assert!(seen.count() > 12, "of {}", found.surface().len());
+    assert!(seen.count() > 12, "of {}", hit.len());
 }
 
 /// A run with a plan, which its rays limit, and without a budget.

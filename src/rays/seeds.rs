@@ -11,6 +11,8 @@ pub enum Purpose {
     Group(u16),
     /// The pilot from which a run is planned.
     Pilot,
+    /// Points on visible surfaces, which must not be those that the run's own rays hit.
+    Surface,
 }
 
 impl Purpose {
@@ -24,6 +26,7 @@ impl Purpose {
             Self::SecondHalf => [1, 0],
             Self::Group(index) => [2, u64::from(index)],
             Self::Pilot => [3, 0],
+            Self::Surface => [4, 0],
         };
         mix(mix(mix(base) ^ purpose) ^ index)
     }
@@ -38,7 +41,7 @@ mod tests {
 
     /// The base seeds in common use, with all seeds that a run of each draws from.
     fn seeds() -> Vec<(String, u64)> {
-        let purposes = (0..64).map(Purpose::Group).chain([Purpose::SecondHalf, Purpose::Pilot]);
+        let purposes = (0..64).map(Purpose::Group).chain([Purpose::SecondHalf, Purpose::Pilot, Purpose::Surface]);
         let of_base = |base: u64| {
             let derived = purposes.clone().map(move |p| (format!("{p:?} of {base}"), p.seed(base)));
             [(format!("run of {base}"), base)].into_iter().chain(derived)
@@ -55,12 +58,12 @@ mod tests {
                 panic!("{name} and {other} have the seed {seed}");
             }
         }
-        assert_eq!(of_seed.len(), 16 * 67);
+        assert_eq!(of_seed.len(), 16 * 68);
     }
 
     #[test]
     fn no_two_uses_of_small_seeds_draw_the_same_ray() {
-        // 1072 seeds × 64 rays, of 2⁴⁸ (pixel, jitter) pairs or more: one accidental match in 10⁵ such tests.
+        // 1088 seeds × 64 rays, of 2⁴⁸ (pixel, jitter) pairs or more: one accidental match in 10⁵ such tests.
         for kind in [Pixels::Sobol, Pixels::Random] {
             let mut drawn = HashSet::new();
             for (name, seed) in seeds() {

@@ -3,6 +3,7 @@
 use std::convert::Infallible;
 use std::ops::{ControlFlow, Range};
 
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::by_camera::CameraByCamera;
@@ -14,6 +15,7 @@ use super::source::{RaySource, VolumeRays};
 use crate::geometry::{Aabb, Camera, Mask, Ray};
 use crate::monitor::{Monitor, check};
 use crate::render::{CompositingWeights, JacobianBuffers, RayBatch, RaySamples, TraceBuffers, TracedRays};
+use crate::splats::{Hits, SplatRenderer, Use};
 use crate::{Error, Result};
 
 /// Largest fraction of rays that may be dropped because the field was not finite. Beyond it, a run fails.
@@ -295,16 +297,32 @@ impl<'a> RayStream<'a> {
 impl RayStream<'_> {
     /// Finds up to `count` points on visible surfaces, `[n]` in scene units.
     ///
-    /// These are the samples of weight ≥ [`SURFACE_WEIGHT`], in ray order, along at most `rays` rays. The rays
-    /// are traced but not differentiated.
+    /// These are the samples of weight ≥ [`SURFACE_WEIGHT`] along at most `rays` rays, in ray order. The rays are traced
+    /// but not differentiated.
     ///
     /// # Errors
     /// [`Error::Interrupted`] only.
     pub fn surface_points(&self, count: usize, rays: u64, monitor: &dyn Monitor) -> Result<Vec<[f32; 3]>> {
+        self.surface_points_where(&|_| true, count, rays, monitor)
+    }
+
+    /// [`RayStream::surface_points`] at which `counts` holds.
+    pub(crate) fn surface_points_where(
+        &self,
+        counts: &(dyn Fn(Vec3) -> bool + Sync),
+        count: usize,
+        rays: u64,
+        monitor: &dyn Monitor,
+    ) -> Result<Vec<[f32; 3]>> {
         let mut points = Vec::new();
         let VolumeRays { tracer, .. } = match &self.source {
             RaySource::Volume(volume) => volume.as_ref(),
-            RaySource::Splats(_) => return self.through_few_cameras().surface_splats(count, rays, monitor),
+            RaySource::Splats(splats) => {
+                let found = self.through_few_cameras().surface_splats(*splats, counts, rays, monitor)?;
+                // Camera by camera, so that the first would be those of few.
+                let every = found.len().div_ceil(count).max(1);
+                return Ok(found.into_iter().step_by(every).collect());
+            }
         };
         let batches = rays.div_ceil(BATCH);
         for group in (0..batches).step_by(GROUP as usize) {
@@ -315,12 +333,12 @@ impl RayStream<'_> {
             let found: Vec<Vec<[f32; 3]>> = group
                 .par_chunks(each)
                 .map_init(TraceBuffers::default, |buffers, batches| {
-                    let (rays, jitter): (Vec<Ray>, Vec<f64>) =
-                        batches.iter().flat_map(|&batch| self.picked(batch, BATCH)).unzip();
+                    let of_batch = |&batch: &u64| self.picked(batch, BATCH.min(rays - batch * BATCH));
+                    let (rays, jitter): (Vec<Ray>, Vec<f64>) = batches.iter().flat_map(of_batch).unzip();
                     let mut found = Vec::new();
                     for (rays, jitter) in rays.chunks(together).zip(jitter.chunks(together)) {
                         tracer.trace(rays, jitter, buffers);
-                        visible(&buffers.traced, tracer.marcher.step, &mut found);
+                        visible(&buffers.traced, tracer.marcher.step, counts, &mut found);
                     }
                     found
                 })
@@ -333,25 +351,38 @@ impl RayStream<'_> {
         Ok(points)
     }
 
-    /// [`RayStream::surface_points`] of splats: their centres.
-    fn surface_splats(&self, count: usize, rays: u64, monitor: &dyn Monitor) -> Result<Vec<[f32; 3]>> {
+    /// The centres of all splats that `rays` rays show with a weight of at least [`SURFACE_WEIGHT`].
+    fn surface_splats(
+        &self,
+        splats: SplatRenderer,
+        counts: &(dyn Fn(Vec3) -> bool + Sync),
+        rays: u64,
+        monitor: &dyn Monitor,
+    ) -> Result<Vec<[f32; 3]>> {
         let mut points = Vec::new();
-        self.run(Shard::whole(rays), RunProgress::default(), monitor, |batches, _| {
-            let weighted = batches.iter().flat_map(|batch| batch.positions.iter().zip(&batch.weights));
-            let visible = weighted.filter(|(_, weight)| **weight >= SURFACE_WEIGHT).map(|(x, _)| x.to_array());
-            points.extend(visible.take(count - points.len()));
-            Ok(())
-        })?;
+        for (camera, share) in self.pixels.shares(rays).into_iter().enumerate().filter(|(_, share)| *share > 0) {
+            check(monitor)?;
+            let view = splats.prepare(&self.cameras[camera], Use::Colors);
+            let found = (0..share).into_par_iter().map_init(Hits::default, |hits, n| {
+                let at = self.pixels.of_camera(camera, n).pixel.map(|i| f64::from(i) + self.pixel_offset);
+                view.hits(at, hits);
+                let visible = hits.list.iter().filter(|hit| hit.weight() >= f64::from(SURFACE_WEIGHT));
+                let centres = visible.map(|hit| splats.splats().mean(view.splat(hit)));
+                centres.filter(|x| counts(*x)).map(|x| x.to_array()).collect::<Vec<_>>()
+            });
+            points.extend(found.collect::<Vec<_>>().into_iter().flatten());
+        }
         Ok(points)
     }
 }
 
-/// Appends the positions of samples of weight ≥ [`SURFACE_WEIGHT`].
-fn visible(traced: &TracedRays, step: f64, found: &mut Vec<[f32; 3]>) {
+/// Appends the positions of samples of weight ≥ [`SURFACE_WEIGHT`] at which `counts` holds.
+fn visible(traced: &TracedRays, step: f64, counts: &(dyn Fn(Vec3) -> bool + Sync), found: &mut Vec<[f32; 3]>) {
     let mut quadrature = CompositingWeights::default();
     quadrature.set(traced, step);
     let weighted = quadrature.weights.iter().zip(&traced.positions);
-    found.extend(weighted.filter(|(w, _)| **w >= f64::from(SURFACE_WEIGHT)).map(|(_, x)| x.to_array()));
+    let is_visible = |(w, x): &(&f64, &Vec3)| **w >= f64::from(SURFACE_WEIGHT) && counts(**x);
+    found.extend(weighted.filter(is_visible).map(|(_, x)| x.to_array()));
 }
 
 #[cfg(test)]

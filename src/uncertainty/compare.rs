@@ -102,8 +102,8 @@ const MAX_POINTS: usize = 100_000_000;
 /// Compares `a` with the reference `b`.
 ///
 /// log10 U is compared at `points` random points, uniform in the lattice's cube (drawn with `seed`), and at no
-/// more than that many surface points. The latter are the reference's if it has any. A field's own surface points
-/// lie where its rays went, and there it would look better than it is.
+/// more than that many surface points. The latter are the reference's if it has any; those of a field of external
+/// samples lie where its rays went, and there it would look better than it is.
 ///
 /// # Errors
 /// If the fields have different domains, one of them cannot be read, or there are more than 100 million points.

@@ -71,19 +71,6 @@ impl Matter {
         Ok(Self(samples.into_iter().flatten().collect()))
     }
 
-    /// log10 U that this share of the matter does not exceed, by weight; `None` without matter.
-    pub fn quantile(&self, share: f64) -> Option<f64> {
-        let mut sorted: Vec<&Sample> = self.0.iter().collect();
-        sorted.sort_by(|a, b| a.log10.total_cmp(&b.log10));
-        let limit = share * self.weight(|_| true);
-        let mut sum = 0.0;
-        let reaches = |sample: &&Sample| {
-            sum += sample.weight;
-            sum >= limit
-        };
-        sorted.iter().copied().find(reaches).or(sorted.last().copied()).map(|sample| sample.log10)
-    }
-
     /// Sum of the weights of some of the samples.
     fn weight(&self, counts: impl Fn(&Sample) -> bool) -> f64 {
         self.0.iter().filter(|sample| counts(sample)).map(|sample| sample.weight).sum()

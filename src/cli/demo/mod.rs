@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use glam::Vec3;
 
 use self::made::{LIST, Made};
-use self::matter::{Matter, Shares};
+use self::matter::Shares;
 use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
 use super::options::{MAX_COUNT, UTF_8, count};
@@ -42,9 +42,9 @@ const SIZE: usize = 6_000_000;
 /// What stands below the pictures of the trained model.
 const HOLLOW: &str = "Cleaned, from behind: where the made-up back was removed, you look into the hollow front, which \
     cameras saw from outside.";
-/// Share of the matter that cameras see which clean-up keeps. The rest, reached by few rays, leaves small holes.
+/// Share of the visible surfaces that clean-up keeps. The rest, reached by few rays, leaves small holes.
 const KEPT: f64 = 0.99;
-/// Share of that matter whose log10 U lies below the colour bar.
+/// Share of them whose log10 U lies below the colour bar.
 const BELOW_BAR: f64 = 0.01;
 /// Least length of the colour bar, decades. It ends at the prior.
 const LEAST_BAR: f64 = 1.0;
@@ -112,7 +112,7 @@ impl Args {
         say!("record\n{}\n  threads      {}", report::record(octree), rayon::current_num_threads())?;
         say!("{}", report::comparison(&comparison))?;
 
-        let shown = Shown::new(&subject, octree, bars)?;
+        let shown = Shown::new(octree);
         self.clean(&subject, octree, shown, bars)?;
         self.pictures(&subject, octree, shown, bars)?;
         self.viewer(&subject, octree, shown, bars)?;
@@ -192,8 +192,8 @@ impl Args {
     /// Prints what clean-up does and, for the trained model, what it did by the truth.
     fn clean(&self, subject: &DemoScene, uncertainty: &UncertaintyField, shown: Shown, bars: &Bars) -> Result<()> {
         let Shown { threshold, .. } = shown;
-        let percentile = format!("the {:.0}th percentile of what cameras see", 100.0 * KEPT);
-        say!("clean-up: no density where log10 U is above {threshold:.2}, {percentile}")?;
+        let share = format!("which {:.0}% of the visible surfaces do not exceed", 100.0 * KEPT);
+        say!("clean-up: no density where log10 U is above {threshold:.3}, {share}")?;
         let Some(truth) = &subject.truth else { return Ok(()) };
         let model = ThresholdedField::new(subject.field.as_ref(), uncertainty, threshold);
         let Shares { made_up_seen, made_up_behind, removed, kept } = Shares::measure(&model, truth, bars)?;
@@ -277,11 +277,10 @@ struct Shown {
 }
 
 impl Shown {
-    /// By percentiles of log10 U over what the cameras see. If they see nothing, there is nothing to remove.
-    fn new(subject: &DemoScene, uncertainty: &UncertaintyField, bars: &dyn Monitor) -> Result<Self> {
-        let seen = Matter::seen(subject.field.as_ref(), &subject.poses(), uncertainty, bars)?;
+    /// By shares of the visible surfaces. If the cameras see nothing, there is nothing to remove.
+    fn new(uncertainty: &UncertaintyField) -> Self {
         let prior = uncertainty.prior().log10();
-        let [low, threshold] = [BELOW_BAR, KEPT].map(|share| seen.quantile(share).unwrap_or(prior));
-        Ok(Self { low: low.min(prior - LEAST_BAR), threshold })
+        let [low, threshold] = uncertainty.surface_quantiles([BELOW_BAR, KEPT]).unwrap_or([prior; 2]);
+        Self { low: low.min(prior - LEAST_BAR), threshold }
     }
 }

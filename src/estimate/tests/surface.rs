@@ -1,0 +1,47 @@
+//! The points on visible surfaces that a field stores.
+
+use super::*;
+use crate::rays::Pixels;
+use crate::uncertainty::merge;
+
+#[test]
+fn a_share_of_visible_surfaces_is_that_of_pixels_that_the_field_did_not_draw() {
+    // A ray lowers U where it passes. Points that the field's own rays hit had their 99 % where other pixels have 96 %.
+    let field = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(40, [400, 400]);
+    let grid = GridSettings::default().level(6);
+    let run = Estimation::new(&field, &cameras).rays(settings(40_000)).grid(grid).prepare().unwrap();
+    let others = run.stream().with_pixels(Pixels::Random, 4711).surface_points(usize::MAX, 200_000, &Silent).unwrap();
+    let found = run.finish().unwrap().field;
+    let [usual] = found.surface_quantiles([0.99]).unwrap();
+    let others: Vec<Vec3> = others.into_iter().map(Vec3::from_array).collect();
+    let below = found.query_all(&others).iter().filter(|at| at.uncertainty.log10() <= usual).count();
+    let share = below as f64 / others.len() as f64;
+    // The points of a ray are near each other, so they count once. Five deviations of a share of so many rays; those of
+    // the 200,000 other rays are a seventh of them.
+    let rays = found.surface().len() as f64 / others.len() as f64 * 200_000.0;
+    let tolerance = 5.0 * (0.99 * 0.01 / rays).sqrt();
+    eprintln!("{share} {tolerance} {usual} {rays}");
+    assert!((share - 0.99).abs() <= tolerance, "{share} of other pixels' surfaces, within {tolerance}; {rays} rays");
+    assert!(tolerance < 0.015, "the test's own premise: {tolerance}");
+}
+
+#[test]
+fn every_part_of_a_run_has_its_points() {
+    let field = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(6, [40, 40]);
+    let start = |seed| {
+        let rays = settings(3000).seed(seed);
+        Estimation::new(&field, &cameras).rays(rays).grid(GridSettings::default().level(5))
+    };
+    let whole = start(1).run().unwrap().field;
+    let parts = [0, 1, 2].map(|index| start(1).shard(index, 3).run().unwrap().field);
+    assert!(whole.surface().len() > 1000 && parts.iter().all(|part| part.surface() == whole.surface()));
+    assert_eq!(merge(&parts).unwrap().surface(), whole.surface());
+    let grouped = start(1).error_bars(2).run().unwrap().field;
+    assert_eq!(grouped.surface(), whole.surface());
+    assert_ne!(start(2).run().unwrap().field.surface(), whole.surface(), "another seed has other points");
+    // One of so many threads, and of splats: `the_number_of_threads_does_not_matter`.
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    assert_eq!(one.install(|| start(1).run().unwrap().field).surface(), whole.surface());
+}
