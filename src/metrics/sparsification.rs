@@ -3,7 +3,8 @@
 //! Pixels are removed in 100 equal steps, most uncertain first, while the mean error of the rest is recorded. The
 //! oracle removes the largest errors first. Both curves are divided by their common maximum. The area between them
 //! follows from the trapezoid rule over the removed shares 0, 0.01, …, 0.99 (Ilg et al. 2018; exactly the procedure
-//! of the Bayes' Rays code, which took it from CF-NeRF). 0 is a perfect ranking. Ties keep the order of the pixels.
+//! of the Bayes' Rays code, which took it from CF-NeRF). 0 is a perfect ranking. Among pixels of equal uncertainty, each
+//! has their mean error, as in any order on average; the original keeps them in the order of the frames.
 
 /// Number of points of a curve.
 pub const STEPS: usize = 100;
@@ -87,11 +88,14 @@ pub fn sparsification(uncertainty: &[f64], absolute_error: &[f64], kind: ErrorKi
     let removed: Vec<f64> = (0..STEPS).map(|k| k as f64 * (1.0 / STEPS as f64)).collect();
     let curve = |key: &dyn Fn(usize) -> f64| -> Vec<f64> {
         let mut order: Vec<usize> = (0..n).collect();
-        order.sort_by(|&a, &b| key(a).total_cmp(&key(b)));
+        // By cost as well, so that not even the rounding of sums depends on the order of the pixels.
+        order.sort_by(|&a, &b| key(a).total_cmp(&key(b)).then(cost(a).total_cmp(&cost(b))));
         // Sums of the costs of the first k pixels, k = 0 … n.
-        let mut sums = vec![0.0; n + 1];
-        for (k, &i) in order.iter().enumerate() {
-            sums[k + 1] = sums[k] + cost(i);
+        let mut sums = vec![0.0];
+        for equal in order.chunk_by(|&a, &b| key(a) == key(b)) {
+            let mean = equal.iter().map(|&i| cost(i)).sum::<f64>() / equal.len() as f64;
+            let before = sums[sums.len() - 1];
+            sums.extend((1..=equal.len()).map(|k| before + k as f64 * mean));
         }
         let left = |share: f64| ((1.0 - share) * n as f64) as usize;
         let mean = |share: f64| sums[left(share)] / left(share) as f64;
@@ -154,6 +158,21 @@ mod tests {
                 let found = sparsification(uncertainty, error, kind).unwrap().area;
                 assert!((found - area).abs() < 1e-12, "{kind:?}: {found} against {area}");
             }
+        }
+    }
+
+    #[test]
+    fn pixels_of_equal_uncertainty_have_no_order() {
+        // 600 pixels of equal uncertainty, with errors 1 to 600; the other 400 are more certain, without error.
+        let (uncertainty, mut error) = ([vec![1.0; 600], vec![0.0; 400]].concat(), vec![0.0; 1000]);
+        error.iter_mut().zip(1..=600).for_each(|(error, i)| *error = f64::from(i));
+        let found = sparsification(&uncertainty, &error, ErrorKind::Mae).unwrap();
+        // At half, 100 of the 600 are left, of 300.5 on average.
+        assert!((found.by_uncertainty[50] * found.largest - 100.0 * 300.5 / 500.0).abs() < 1e-9, "{found:?}");
+        for kind in ErrorKind::ALL {
+            let found = sparsification(&uncertainty, &error, kind).unwrap();
+            let [u, e] = [&uncertainty, &error].map(|values| values.iter().rev().copied().collect::<Vec<f64>>());
+            assert_eq!(sparsification(&u, &e, kind).unwrap(), found, "the other way round");
         }
     }
 

@@ -98,14 +98,32 @@ fn draw(area: &Area, title: &str, axes: [&str; 2], curves: &[Curve]) -> Drawn {
         chart.draw_series(LineSeries::new(curve.points.iter().copied(), style))?;
         let y = 48 + ENTRY * i as i32;
         legend.draw(&PathElement::new([(0, y), (18, y)], style))?;
-        legend.draw(&Text::new(curve.name.as_str(), (24, y - 7), ("sans-serif", 13)))?;
+        legend.draw(&Text::new(in_xml(&curve.name), (24, y - 7), ("sans-serif", 13)))?;
     }
     Ok(())
+}
+
+/// The text without characters that XML forbids, escaped or not; the backend escapes the others.
+fn in_xml(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}') { ' ' } else { c }).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_name_that_xml_cannot_hold_is_drawn_without_what_it_forbids() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plot.svg");
+        let name = "a\u{1}b\u{7f}c\u{ffff}d <&> \u{85}e".to_owned();
+        let curve = Curve { name, points: vec![(0.0, 0.0), (1.0, 1.0)], reference: false };
+        write_plot(&path, "title", ["x", "y"], &[curve]).unwrap();
+        let svg = std::fs::read_to_string(&path).unwrap();
+        assert!(svg.contains("a b c d &lt;&amp;&gt;"), "{svg}");
+        let is_forbidden = |c: char| (c.is_control() && c != '\n') || c == '\u{ffff}';
+        assert_eq!(svg.chars().find(|c| is_forbidden(*c)), None);
+    }
 
     #[test]
     fn the_legend_stands_beside_the_curves() {

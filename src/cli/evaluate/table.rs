@@ -64,10 +64,10 @@ impl Args {
                 say!("  without a Hessian:")?;
             }
             let Score { ause_pooled: all, ause_mean_over_views: mean, risk, .. } = score;
-            let [a, b, c, d] = [all.mae, all.rmse, mean.mae, mean.rmse].map(|area| format!("{area:.4}"));
-            let [e, f] = [risk.mae, risk.rmse].map(|risk| format!("{risk:.5}"));
+            let [a, b, c, d] = [all.mae, all.rmse, mean.mae, mean.rmse].map(|area| number(area, 4));
+            let [e, f] = [risk.mae, risk.rmse].map(|risk| number(risk, 5));
             let ranks = [score.rank_correlation, score.rank_correlation_mean_over_views];
-            let [g, h] = ranks.map(|rank| format!("{rank:.3}"));
+            let [g, h] = ranks.map(|rank| number(rank, 3));
             say!("{}", row(width, name, [a, b, c, d, e, f, g, h]))?;
         }
         print_detection(report, width)?;
@@ -97,16 +97,21 @@ impl Args {
             let surfaces = c.surfaces.map_or(String::new(), |share| format!("{:.1} %", 100.0 * share));
             let mark = if c.threshold.is_some() && c.threshold == best { "   best PSNR" } else { "" };
             say!(
-                "  {log10:>15} {surfaces:>15} {:>11.2} {:>13.2} {:>9.4} {:>14.1} {:>10.3}{mark}",
-                c.psnr,
-                c.psnr_shown,
-                c.ssim,
-                c.ssimulacra2,
-                c.coverage
+                "  {log10:>15} {surfaces:>15} {:>11} {:>13} {:>9} {:>14} {:>10}{mark}",
+                number(c.psnr, 2),
+                number(c.psnr_shown, 2),
+                number(c.ssim, 4),
+                number(c.ssimulacra2, 1),
+                number(c.coverage, 3)
             )?;
         }
         Ok(())
     }
+}
+
+/// A number in a table; a dash if there is none.
+fn number(value: f64, digits: usize) -> String {
+    if value.is_nan() { "–".into() } else { format!("{value:.digits$}") }
 }
 
 /// A row of the ranking.

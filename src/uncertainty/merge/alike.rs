@@ -1,6 +1,7 @@
 //! Checks that parts belong to one run, or to runs that can be added.
 
 use super::parts::Head;
+use crate::posterior::{DataScale, Scale};
 use crate::rays::RaySet;
 use crate::uncertainty::RunRecord;
 use crate::{Error, Result};
@@ -45,27 +46,46 @@ fn have_one_origin(a: &RunRecord, b: &RunRecord) -> bool {
     }
 }
 
+/// A setting as files spell it.
+fn word(setting: &impl serde::Serialize) -> String {
+    match serde_json::to_value(setting) {
+        Ok(serde_json::Value::String(word)) => word,
+        Ok(serde_json::Value::Null) | Err(_) => "unknown".into(),
+        Ok(other) => other.to_string(),
+    }
+}
+
 /// Compares everything except rays, seed, shard and limits to refinement. The source is compared too if this crate drew
 /// the rays.
 fn check_alike(first: &Head, part: &Head) -> Result<()> {
+    let known = |number: Option<f64>| number.map_or("unknown".into(), |number| number.to_string());
+    let list = |numbers: Option<String>| numbers.unwrap_or("unknown".into());
     let settings = |head: &Head| {
         let p = &head.record;
         let tiles = head.tile.map_or("all of space".into(), |tile| format!("one of {} tiles", tile.of));
         [
-            ("box and level", format!("{:?}", head.lattice)),
+            ("box and level", format!("{}, level {}", head.lattice.domain(), head.lattice.level())),
             ("grid", if head.is_dense { "dense" } else { "octree" }.to_string()),
             ("part of space", tiles),
             ("lambda", p.lambda.to_string()),
-            ("scale", format!("{:?}", p.scale)),
+            (
+                "scale",
+                match p.scale {
+                    Scale::Data(DataScale { pixels, noise, prior_deviation }) => {
+                        format!("data, {pixels} pixels of noise {noise}, prior deviation {prior_deviation}")
+                    }
+                    _ => "paper".into(),
+                },
+            ),
             ("covariance", p.covariance.name().to_string()),
             ("tolerance", p.tolerance.to_string()),
-            ("march step", format!("{:?}", p.march_step)),
-            ("gradient", format!("{:?}", p.gradient)),
-            ("difference step", format!("{:?}", p.difference_step)),
-            ("cutoff", format!("{:?}", p.cutoff)),
-            ("background", format!("{:?}", p.background)),
-            ("pixel offset", format!("{:?}", p.pixel_offset)),
-            ("pixels", format!("{:?}", p.pixels)),
+            ("march step", known(p.march_step)),
+            ("gradient", word(&p.gradient)),
+            ("difference step", list(p.difference_step.map(|h| format!("{h:?}")))),
+            ("cutoff", known(p.cutoff)),
+            ("background", list(p.background.map(|color| format!("{color:?}")))),
+            ("pixel offset", known(p.pixel_offset)),
+            ("pixels", word(&p.pixels)),
             ("pooling", p.pooling.to_string()),
             ("criteria", p.criteria.to_string()),
         ]
