@@ -28,9 +28,16 @@ impl Interval {
         let m = evaluator.measures().iter().position(|measure| matches!(measure, Measure::DepthDeviation(_)))?;
         // An infinite deviation holds every error.
         let ratio = |(e, s): (&f64, &f64)| e / s;
-        let of_view = |view: &EvaluatedView| view.absolute_error.iter().zip(&view.measures[m]).map(ratio).collect();
-        let ratios: Vec<Vec<f64>> = views.iter().map(of_view).filter(|ratios: &Vec<f64>| !ratios.is_empty()).collect();
-        let all = ratios.concat();
+        let of_view = |view: &EvaluatedView| -> Vec<f64> {
+            view.absolute_error.iter().zip(&view.measures[m]).map(ratio).collect()
+        };
+        Self::of_ratios(&views.iter().map(of_view).collect::<Vec<_>>(), probability)
+    }
+
+    /// From the ratios of error and deviation of each view.
+    fn of_ratios(of_views: &[Vec<f64>], probability: f64) -> Option<Self> {
+        let ratios: Vec<&Vec<f64>> = of_views.iter().filter(|ratios| !ratios.is_empty()).collect();
+        let all: Vec<f64> = ratios.iter().copied().flatten().copied().collect();
         let conformal = Conformal {
             probability,
             factor: conformal_factor(&all, probability)?,
@@ -40,9 +47,9 @@ impl Interval {
         let mut shares: Vec<f64> = (0..ratios.len())
             .filter_map(|left_out| {
                 let others: Vec<f64> =
-                    (0..ratios.len()).filter(|&i| i != left_out).flat_map(|i| &ratios[i]).copied().collect();
+                    (0..ratios.len()).filter(|&i| i != left_out).flat_map(|i| ratios[i]).copied().collect();
                 let factor = conformal_factor(&others, probability)?;
-                let own = &ratios[left_out];
+                let own = ratios[left_out];
                 Some(own.iter().filter(|z| **z <= factor).count() as f64 / own.len() as f64)
             })
             .collect();
@@ -50,5 +57,21 @@ impl Interval {
         let at = |share: f64| crate::metrics::quantile(&shares, share);
         let predicted = ErrorDensity::PREDICTIVE.deviations(probability);
         Some(Self { conformal, predicted, left_out: [at(0.0), at(0.5), at(1.0)] })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_view_is_left_out_of_the_interval_that_it_is_judged_by() {
+        // All ratios of the second view are larger than those of the first: neither view's interval is the other's.
+        let views = [(1..100).map(f64::from).collect(), Vec::new(), (101..200).map(f64::from).collect()];
+        let found = Interval::of_ratios(&views, 0.8).unwrap();
+        assert_eq!((found.conformal.views, found.conformal.pixels), (2, 198));
+        assert_eq!([found.left_out[0], found.left_out[2]], [0.0, 1.0]);
+        // ⌈(198 + 1) 0.8⌉ = 160 of all ratios: the 61st of the second view.
+        assert_eq!(found.conformal.factor, 161.0);
     }
 }

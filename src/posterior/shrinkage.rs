@@ -282,6 +282,17 @@ mod tests {
         (mixed.exp() - SHRINKAGE.prior) * (0.5 * (1.0 - gate(18.0))).exp()
     }
 
+    /// What gives a vertex its directions: T S and S, mixed by g(18).
+    fn directions_by_hand(at: impl Fn([i32; 3]) -> VertexSums) -> [f64; 6] {
+        let over = |of: &dyn Fn(VertexSums) -> f64| kernel(1).map(|(off, weight)| weight * of(at(off))).sum::<f64>();
+        let near = over(&|at| f64::from(at.rays)) / over(&|at| f64::from(u8::from(at.rays > 0))).max(1e-9);
+        let own = 1.0 / (1.0 + (18.0 / near).powf(1.5));
+        std::array::from_fn(|k| {
+            let mean = over(&|at| at.information[k]);
+            mean + own * (at([0; 3]).information[k] - mean)
+        })
+    }
+
     #[test]
     fn blocks_follow_the_formulas() {
         // Lumps of very different sizes, some of them at the faces of the lattice, with few rays and many.
@@ -293,7 +304,14 @@ mod tests {
             // A gap whose middle sees none, among vertices that few rays saw.
             let is_gap = point.iter().all(|i| (9..12).contains(i));
             let rays = if point.iter().all(|i| (6..15).contains(i)) { rays.min(1) } else { rays };
-            if rays == 0 || is_gap { VertexSums::default() } else { sums([s, 0.3 * s + 0.1, 2.0 * s * s], rays) }
+            let sums = sums([s, 0.3 * s + 0.1, 2.0 * s * s], rays);
+            // Every other vertex is turned, so that its directions are not those of its neighbours.
+            let turned = sums.information.map(|entry| entry.abs());
+            match (rays == 0 || is_gap, point[0].is_multiple_of(2)) {
+                (true, _) => VertexSums::default(),
+                (false, true) => VertexSums::new(turned, rays),
+                (false, false) => sums,
+            }
         };
         for number in [[0, 0, 0], [1, 0, 2], [1, 1, 1]] {
             let block = block(number, last, of);
@@ -311,6 +329,15 @@ mod tests {
                     let (found, expected) = (found.information[k], by_hand(near, axis, 7));
                     // Thirty roundings of f32, which a slope of the taper near its least value makes tenfold.
                     assert!((found - expected).abs() <= 2e-4 * expected + 1e-6, "{point:?}: {found} and {expected}");
+                }
+                // Others are in the same ratio to the diagonal as in T S, drawn to S by the rays' own weight.
+                let directions = directions_by_hand(near);
+                for k in OFF_DIAGONAL {
+                    let [a, b] = AXES[k].map(|axis| DIAGONAL[axis]);
+                    let scale = (found.information[a] * found.information[b]).sqrt();
+                    let expected = scale * directions[k] / (directions[a] * directions[b]).sqrt().max(1e-300);
+                    let found = found.information[k];
+                    assert!((found - expected).abs() <= 1e-3 * scale + 1e-6, "{point:?}, {k}: {found} and {expected}");
                 }
                 assert!(found.is_valid(), "{point:?}: {found:?}");
             }
