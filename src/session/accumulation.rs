@@ -82,7 +82,7 @@ impl Accumulation {
         let sums_bytes = builder.memory();
         let progress = RunProgress { rays, samples: all, ..RunProgress::default() };
         let field = builder.finish(&FieldSource { source: source.into(), progress, ..FieldSource::default() });
-        checks::field(&field, pooling, tell);
+        checks::field(&field, pooling, true, tell);
         let errors = ErrorBudget::of_field(&field);
         Ok(Finished { field, errors, elapsed: start.elapsed(), sums_bytes, replanned: None, checkpoint: None })
     }

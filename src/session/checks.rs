@@ -69,13 +69,14 @@ pub fn near(splats: &Splats, cameras: &[Camera], tell: &mut dyn FnMut(Remark)) {
     }
 }
 
-/// Notes what is odd about a finished field.
-pub fn field(field: &UncertaintyField, pooling: Pooling, tell: &mut dyn FnMut(Remark)) {
+/// Notes what is odd about a finished field. `could_pool`: whether its run would accept pooling.
+pub fn field(field: &UncertaintyField, pooling: Pooling, could_pool: bool, tell: &mut dyn FnMut(Remark)) {
     if let Some(median) = field.median_rays().filter(|&median| median < MIN_RAYS_PER_VERTEX && !pooling.is_on()) {
-        tell(Remark::Note(format!(
-            "half of the vertices that moved are supported by {median} rays or fewer; --pooling auto uses what their \
-             neighbours saw, more --rays is better"
-        )));
+        let few = format!("half of the vertices that moved are supported by {median} rays or fewer");
+        tell(Remark::Note(match could_pool {
+            true => format!("{few}; --pooling auto uses what their neighbours saw, more --rays is better"),
+            false => format!("{few}; more --rays is better"),
+        }));
     }
     if let Some(tile) = field.tile().filter(|_| field.sums().is_some_and(|sums| sums.iter().all(|s| s.rays == 0))) {
         let text = format!("tile {tile} has no vertex that a ray touched: the scene is too small for so many tiles");

@@ -16,7 +16,7 @@ use crate::evaluate::{Compared, Remark, TrainingImages, check_images, check_spla
 use crate::geometry::{Camera, Domain, Mask, kept_pixels};
 use crate::monitor::Monitor;
 use crate::posterior::Scale;
-use crate::rays::{RaySource, SamplesWriter};
+use crate::rays::{Pixels, RaySource, SamplesWriter};
 use crate::splats::{SplatRenderer, seen_domain};
 use crate::{Error, Result};
 
@@ -268,7 +268,11 @@ impl Prepared<'_> {
         // Before the rays, so that a wrong image ends the work at once.
         let compared = self.compared()?;
         let Self { session, run, start, step, audit, .. } = self;
-        let rays = run.rays();
+        let (rays, grid) = (run.rays(), &session.grid);
+        let could_pool = grid.memory.is_none()
+            && grid.tile.is_none()
+            && session.rays.pixels != Pixels::Every
+            && run.stream().source.volume().is_some();
         if session.checkpoint.as_ref().is_some_and(|checkpoint| !checkpoint.is_restart()) {
             session.note_progress(rays, "--restart discards them", tell);
         }
@@ -302,7 +306,7 @@ impl Prepared<'_> {
             Some(compared) => compared.join(field)?,
             None => field,
         };
-        checks::field(&field, session.grid.pooling, tell);
+        checks::field(&field, session.grid.pooling, could_pool, tell);
         Ok(Finished {
             field,
             errors,
