@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::layers::Layers;
-use super::merge::{Head, in_turn};
+use super::merge::Head;
 use super::{Answers, Estimate, Summary, Support, UncertaintyField};
 use crate::octree::{CellTree, Octree, Tile, Tiling, VertexId, Wanted};
 use crate::{Error, Result};
@@ -150,7 +150,7 @@ impl TiledField {
         let support = Support::Octree(octree);
         let mut field = UncertaintyField::from_values(record, first.lattice, support, first.limits(), values);
         field.layers = Layers { tile: None, ..first.layers.clone() };
-        Ok(field.with_surface(in_turn(&surfaces)))
+        Ok(field.with_surface(surfaces.concat()))
     }
 
     /// The number of the tile that owns a point; the first answers for what is outside the box.
@@ -223,7 +223,7 @@ impl Answers for TiledField {
     fn surface(&self) -> Result<Cow<'_, [[f32; 3]]>> {
         let surfaces =
             (0..self.tiles.len()).map(|i| Ok(self.tile(i)?.surface().to_vec())).collect::<Result<Vec<_>>>()?;
-        Ok(Cow::Owned(in_turn(&surfaces)))
+        Ok(Cow::Owned(surfaces.concat()))
     }
 
     /// Beyond its seams a tile's leaves are coarser than the whole's, and split nowhere else.

@@ -11,7 +11,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 pub(super) use parts::Head;
-pub(super) use tiles::in_turn;
 
 use self::parts::{Part, heads};
 use super::UncertaintyField;

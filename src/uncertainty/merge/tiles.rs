@@ -143,7 +143,7 @@ impl Survey {
                 (deviations[v], rays[v]) = (deviation, count);
             }
         }
-        let surface = in_turn(&self.surfaces);
+        let surface = self.surfaces.concat();
         Ok(self.field(self.octree.clone(), (deviations, rays)).with_surface(surface))
     }
 
@@ -222,11 +222,4 @@ impl UncertaintyField {
         touched.for_each(|(point, sums)| posterior.add_sums_at(point, sums));
         Ok(posterior)
     }
-}
-
-/// As many points as the list with the most has, from all lists in turn.
-pub fn in_turn(lists: &[Vec<[f32; 3]>]) -> Vec<[f32; 3]> {
-    let most = lists.iter().map(Vec::len).max().unwrap_or(0);
-    let rounds = (0..most).flat_map(|n| lists.iter().filter_map(move |list| list.get(n)));
-    rounds.take(most).copied().collect()
 }
