@@ -22,8 +22,8 @@ const PIXELS: f64 = 2.0;
 /// … and this many marching steps.
 const STEPS: f64 = 3.0;
 
-/// It sees a surface at what lies no further from its depth than this share of that. Chosen on one scene, by coverage of
-/// the confirmed pixels (`experiments/depth.md`).
+/// It sees a surface at what lies no further from its depth than this share of that. Chosen on one scene, by the
+/// coverage of its confirmed pixels (`experiments/depth.md`).
 const SAME_SURFACE: f64 = 0.5;
 /// Training cameras that must see a surface where a pixel's median depth is, for that depth to be confirmed. Two agree
 /// by chance more often.

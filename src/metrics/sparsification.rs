@@ -3,8 +3,8 @@
 //! Pixels are removed in 100 equal steps, most uncertain first, while the mean error of the rest is recorded. The
 //! oracle removes the largest errors first. Both curves are divided by their common maximum. The area between them
 //! follows from the trapezoid rule over the removed shares 0, 0.01, …, 0.99 (Ilg et al. 2018; exactly the procedure
-//! of the Bayes' Rays code, which took it from CF-NeRF). 0 is a perfect ranking. Among pixels of equal uncertainty, each
-//! has their mean error, as in any order on average; the original keeps them in the order of the frames.
+//! of the Bayes' Rays code, which took it from CF-NeRF). 0 is a perfect ranking. Each of several pixels of equal
+//! uncertainty counts with their mean error, as in any order on average; the original keeps the order of the frames.
 
 /// Number of points of a curve.
 pub const STEPS: usize = 100;

@@ -2,8 +2,8 @@
 
 use std::fmt::{Display, Formatter};
 
-/// To pooling a vertex has moved if its own information changes log10 U by more than this, decades. The octree's tolerance
-/// must not decide that: whether a vertex counts changes its neighbours by decades, on a dense grid as well.
+/// To pooling, a vertex has moved if its own information changes log10 U by more than this, decades. The octree's
+/// tolerance must not decide that: whether a vertex counts changes its neighbours by decades, on a dense grid as well.
 pub const MOVES: f64 = 0.01;
 
 /// Whether a vertex near few rays borrows from its neighbours.

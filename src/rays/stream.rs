@@ -297,8 +297,8 @@ impl<'a> RayStream<'a> {
 impl RayStream<'_> {
     /// Finds up to `count` points on visible surfaces, `[n]` in scene units.
     ///
-    /// These are the samples of weight ≥ [`SURFACE_WEIGHT`] along at most `rays` rays, in ray order. The rays are traced
-    /// but not differentiated.
+    /// These are the samples of weight ≥ [`SURFACE_WEIGHT`] along at most `rays` rays, in ray order. The rays are
+    /// traced but not differentiated.
     ///
     /// # Errors
     /// [`Error::Interrupted`] only.

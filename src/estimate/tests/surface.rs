@@ -6,7 +6,7 @@ use crate::uncertainty::merge;
 
 #[test]
 fn a_share_of_visible_surfaces_is_that_of_pixels_that_the_field_did_not_draw() {
-    // A ray lowers U where it passes. Points that the field's own rays hit had their 99 % where other pixels have 96 %, as they have here still.
+    // A ray lowers U where it passes. Points that the field's own rays hit had their 99 % where other pixels have 96 %.
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(40, [400, 400]);
     let grid = GridSettings::default().level(6);
