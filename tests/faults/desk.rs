@@ -389,7 +389,7 @@ impl Desk {
             let far = image::ImageBuffer::from_pixel(16, 16, image::Luma([6554_u16]));
             far.save(self.path(&format!("{name}_far.png"))).unwrap();
         }
-        let metric = "--scale data --noise 0.0316 --level 4 --rays 600 --occupancy 16 -o metric.oct";
+        let metric = "--scale data --noise 0.0316 --keep-sums --level 4 --rays 600 --occupancy 16 -o metric.oct";
         self.good(&format!("uncertainty scene:ball --cameras cameras.json {metric}"));
     }
 
