@@ -124,7 +124,7 @@ impl Error {
         Self::Malformed {
             path: path.to_path_buf(),
             place: printable(&place.into()),
-            expected: printable(&expected.into()),
+            expected: cut_printable(&expected.into(), LONGEST_OWN),
             found: printable(&found.into()),
         }
     }
@@ -138,13 +138,17 @@ impl Error {
 
     /// [`Error::Setting`] from its parts, each made fit for one line on a terminal.
     pub fn setting(what: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        let [what, expected, found] = [what.into(), expected.into(), found.into()].map(|text: String| printable(&text));
-        Self::Setting { what, expected, found }
+        let expected = cut_printable(&expected.into(), LONGEST_OWN);
+        Self::Setting { what: printable(&what.into()), expected, found: printable(&found.into()) }
     }
 }
 
 /// Longest text quoted in a message, characters.
 const LONGEST: usize = 300;
+
+/// Longest text of the program itself, which a list of causes makes long; characters. What is expected comes from here,
+/// what is found from files.
+const LONGEST_OWN: usize = 2000;
 
 /// Longest path that systems open, bytes: longer ones are cut.
 const LONGEST_PATH: usize = 4096;
@@ -189,6 +193,16 @@ mod tests {
         let error = Error::malformed(Path::new("f"), text.as_str(), "b", text.as_str()).to_string();
         assert!(error.starts_with("f: a\\n\\u{1b}[2Jéxxx") && error.ends_with("x…"), "{error}");
         assert!(error.chars().count() < 2 * LONGEST + 50 && !error.contains('\n'), "{error}");
+    }
+
+    #[test]
+    fn what_is_expected_is_told_to_its_end() {
+        let causes = format!("one of {}the last", "another cause, or ".repeat(40));
+        for error in
+            [Error::setting("cameras", &causes, "none"), Error::malformed(Path::new("f"), "x", &causes, "none")]
+        {
+            assert!(error.to_string().ends_with("the last, found none"), "{error}");
+        }
     }
 
     #[test]

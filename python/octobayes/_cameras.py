@@ -76,6 +76,9 @@ def one(name: str, camera: Mapping[str, Any]) -> NDArray[np.float64]:
     fov = None
     if camera.get("fov") is not None:
         fov = degrees(f"{name}['fov']", camera["fov"])
+        if fov <= math.pi:
+            meant = f"{fov:g} radians would be {math.degrees(fov):.1f} degrees (camera_angle_x)"
+            warnings.warn(f"{name}['fov'] is {fov:g} degrees; {meant}", stacklevel=2)
     elif camera.get("camera_angle_x") is not None:
         angle = real(f"{name}['camera_angle_x']", camera["camera_angle_x"], above=0)
         if angle >= math.pi:

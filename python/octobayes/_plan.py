@@ -71,10 +71,11 @@ def next_view(
     'why_nothing'); 'gain', 'pixels', 'seed' and 'complete', as in the command line's file. In arrays: 'gains'
     ``[candidates]`` (nats); 'poses' ``[steps, 4, 4]`` (float64, camera-to-world) and 'cameras', a list of dictionaries
     that :func:`uncertainty` takes, of the views taken; with ``map`` 'map' ``[H, W]`` (float32, nats; at most 256 pixels
-    a side), or None if no view tells anything.
+    a side).
 
     Fewer views than asked for are taken if no other tells anything; 'why_nothing' says why: 'in-matter',
-    'past-the-box' or 'meets-nothing'. Raises ValueError if u keeps no sums or is not in the scale of the data, and as
+    'past-the-box' or 'meets-nothing'. Warns of candidates whose axes differ from those of the training cameras. Raises
+    ValueError if no candidate tells anything, if u keeps no sums or is not in the scale of the data, and as
     :func:`uncertainty` does.
     """
     u = _field("u", u)
@@ -101,6 +102,7 @@ def next_view(
         **{name: None if count is None else whole(name, count, 1, MOST) for name, count in made.items()},
         "upper": upper,
         "names": [] if given is None else given.names,
+        "file": os.fspath(candidates) if isinstance(candidates, (str, os.PathLike)) else None,
         "take": whole("take", take, 1, MOST),
         "gain": gain,
         "pixels": whole("pixels", pixels, 1, 100_000_000),

@@ -1,8 +1,11 @@
 //! Which photograph should be taken next.
 
+use std::path::PathBuf;
+
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::evaluate::Remark;
 use octobayes::next_view::{Around, GainMap, Made, NextView, Report, Settings};
+use octobayes::session::Candidates;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::json;
@@ -33,6 +36,8 @@ pub fn next_view<'py>(
     let given = candidates.as_ref().map(cameras).transpose()?;
     let training = training.as_ref().map(cameras).transpose()?.unwrap_or_default();
     let names = options.or("names", Vec::<String>::new())?;
+    let file: Option<PathBuf> = options.get("file")?;
+    let name = source.opened().map_or(String::new(), |opened| opened.name.clone());
     let made = made(&options)?;
     let defaults = Settings::default();
     let settings = defaults
@@ -61,6 +66,16 @@ pub fn next_view<'py>(
             let next = NextView::of(model, &field, &views);
             let next = next.training(&training).settings(settings).monitor(engine.monitor());
             let ranking = next.run()?;
+            let asked = Candidates {
+                model,
+                model_name: &name,
+                field: &field,
+                file: file.as_deref(),
+                names: &names,
+                cameras: &views,
+                training: &training,
+            };
+            asked.remark(&ranking, &mut |remark| texts.push(said(remark)))?;
             texts.extend(ranking.doubt().map(|doubt| said(Remark::Note(doubt))));
             let first = ranking.steps.first().filter(|_| is_mapped);
             let map = first.map(|step| next.map(&views[step.index])).transpose()?;

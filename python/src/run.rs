@@ -73,7 +73,7 @@ impl Source {
     }
 
     /// The model of the library, if it is one.
-    fn opened(&self) -> Option<&OpenedModel> {
+    pub fn opened(&self) -> Option<&OpenedModel> {
         match self {
             Self::Rust(model) => Some(&model.opened),
             Self::Splats(splats) => Some(&splats.opened),

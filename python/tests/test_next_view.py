@@ -107,9 +107,19 @@ def test_candidates_are_made_for_every_gain(gain, courtyard, front, known):
 def test_views_of_nothing_say_why(courtyard, front, known):
     away = look_at(np.array([3.0, 0.0, 0.0]))
     away[:3, [0, 2]] *= -1
-    found = ob.next_view(courtyard, known, away[None], cameras=front, map=True, **QUIET)
-    assert found["candidates"][0]["why_nothing"] == "past-the-box" and found["gains"].tolist() == [0.0]
-    assert found["steps"] == [] and found["poses"].shape == (0, 4, 4) and found["map"] is None
+    near = look_at(np.array([3.0, 0.0, 0.0]))
+    with pytest.warns(RuntimeWarning, match="candidates see little of the model"):
+        found = ob.next_view(courtyard, known, np.stack([away, near]), cameras=front, **QUIET)
+    assert found["candidates"][0]["why_nothing"] == "past-the-box" and found["gains"][0] == 0.0
+    with pytest.raises(ValueError, match="OpenCV's camera axes .*found 1 of 1 candidates: gain 0, looks past the box"):
+        ob.next_view(courtyard, known, away[None], cameras=front, map=True, **QUIET)
+
+
+def test_candidates_with_other_axes_are_told(courtyard, front, known):
+    poses = around(np.linspace(0.0, 3.0, 4))
+    poses[:, :3, 1:3] *= -1
+    with pytest.raises(ValueError, match="^candidates: expected views that tell something; .*OpenCV's camera axes"):
+        ob.next_view(courtyard, known, poses, cameras=front, **QUIET)
 
 
 def test_what_cannot_be_ranked_is_refused_by_name(courtyard, front, known, field):

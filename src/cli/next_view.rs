@@ -16,7 +16,7 @@ use crate::geometry::Camera;
 use crate::io::{AtomicFile, write_exr};
 use crate::next_view::{Around, Gain, GainMap, Made, NextView, Ranking, Report, Settings};
 use crate::picture::{Bar, scalar_panel, write_sheet};
-use crate::session::{CameraSource, OpenedModel};
+use crate::session::{self, CameraSource, OpenedModel};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -44,7 +44,8 @@ pub struct Args {
     #[arg(value_name = "FIELD.oct")]
     field: PathBuf,
 
-    /// Cameras to choose from: a camera file, or its folder, as for --cameras. Their images need not exist
+    /// Cameras to choose from: a camera file, or its folder, as for --cameras, or a camera path of nerfstudio's viewer.
+    /// Their images need not exist
     #[arg(
         long,
         value_name = "PATH",
@@ -165,6 +166,16 @@ impl Args {
             .settings(settings)
             .monitor(bars);
         let ranking = next.run()?;
+        let asked = session::Candidates {
+            model: opened.model.subject(),
+            model_name: &opened.name,
+            field: &field,
+            file: self.candidates.as_deref(),
+            names: &candidates.names,
+            cameras: &candidates.cameras,
+            training: &training,
+        };
+        asked.remark(&ranking, &mut tell)?;
         if let Some(doubt) = ranking.doubt() {
             tell(Remark::Note(doubt));
         }
@@ -223,10 +234,6 @@ impl Args {
         let Some(path) = &self.chosen else { return Ok(()) };
         let taken = ranking.steps.iter().map(|step| step.index);
         let taken: Vec<_> = taken.map(|k| (candidates.names[k].clone(), candidates.cameras[k])).collect();
-        if taken.is_empty() {
-            announce!("note: no view tells anything, so that {} is not written", path.display());
-            return Ok(());
-        }
         write_transforms(path, &taken)
     }
 
@@ -240,11 +247,6 @@ impl Args {
             let (gain, each, seconds) = (step.gain, step.gain_per_pixel, step.seconds);
             let name = crate::error::printable(&candidates.names[step.index]);
             say!("{:>4}  {gain:>10.1}  {each:>10.4}  {unseen:>13}  {seconds:>7.2}  {name}", n + 1)?;
-        }
-        for (name, blank) in candidates.names.iter().zip(&ranking.blanks) {
-            if let Some(blank) = blank {
-                announce!("note: {}: gain 0, {}", crate::error::printable(name), blank.words());
-            }
         }
         if ranking.complete && ranking.steps.len() < self.take as usize {
             announce!("note: no other candidate tells anything beside these {}", ranking.steps.len());

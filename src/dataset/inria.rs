@@ -9,6 +9,7 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::pose::rigid_pose;
+use super::views::{Frame, Purpose};
 use crate::geometry::Camera;
 use crate::{Error, Result};
 
@@ -17,9 +18,34 @@ const KEYS: [&str; 3] = ["img_name", "rotation", "position"];
 /// Largest difference of an axis's length from 1: programs store f32.
 const UNIT: f64 = 1e-3;
 
-/// What a user should know of every such file.
-pub(super) const NOTE: &str = "a cameras.json does not say which views were held out: a run with `--eval` lists them \
-                               first";
+/// What a user should know of a file whose order says nothing.
+const NOTE: &str = "a cameras.json does not say which views were held out: a run with `--eval` lists them first";
+/// Of the images in the order of their names, a run with `--eval` holds out one in this many, from the first on.
+const HOLD_OUT: usize = 8;
+
+/// Says what frames are for as far as their order does, and the rest in a note. A run lists its test views first, then
+/// those for training, each by name. All of them were for training unless the order says so.
+pub(super) fn purposes(frames: &mut [Frame]) -> Option<String> {
+    let mut sorted: Vec<&str> = frames.iter().map(|frame| frame.name.as_str()).collect();
+    sorted.sort_unstable();
+    let tests = sorted.len().div_ceil(HOLD_OUT);
+    let first = sorted.iter().step_by(HOLD_OUT);
+    let rest = sorted.iter().enumerate().filter(|(i, _)| i % HOLD_OUT != 0).map(|(_, name)| name);
+    let listed = || frames.iter().map(|frame| frame.name.as_str());
+    let (has_tests_first, is_sorted) = (first.chain(rest).copied().eq(listed()), listed().eq(sorted.iter().copied()));
+    // With eight images or fewer both orders are the same.
+    let held_out = if has_tests_first && !is_sorted { tests } else { 0 };
+    for (i, frame) in frames.iter_mut().enumerate() {
+        frame.purpose = Some(if i < held_out { Purpose::HeldOut } else { Purpose::Training });
+    }
+    match (held_out, is_sorted && frames.len() > HOLD_OUT) {
+        (0, true) => None,
+        (0, false) => Some(NOTE.into()),
+        (n, _) => Some(format!(
+            "the first {n} views are every eighth by name, as a run with `--eval` lists those that it holds out"
+        )),
+    }
+}
 
 /// The cameras of a file, if it is one of these.
 pub(super) fn cameras(file: &Value) -> Option<&[Value]> {
@@ -163,6 +189,37 @@ mod tests {
         assert_eq!(ray.direction, DVec3::Y);
         assert!(camera.ray(20.0, 20.0).direction.z < 0.0, "lower in the image is lower in the scene");
         assert_eq!(views.notes, [NOTE]);
+    }
+
+    /// Which frames are held out of those with these names, and whether a note doubts it.
+    fn held_out(names: &[String]) -> (Vec<String>, bool) {
+        let cameras: Vec<String> = names.iter().map(|n| CAMERA.replace("\"a\"", &format!("\"{n}\""))).collect();
+        let views = read(&format!("[{}]", cameras.join(", "))).unwrap();
+        let is_test = |frame: &&Frame| frame.purpose == Some(Purpose::HeldOut);
+        (views.frames.iter().filter(is_test).map(|f| f.name.clone()).collect(), views.notes == [NOTE])
+    }
+
+    #[test]
+    fn a_run_with_eval_is_known_by_the_order_of_its_views() {
+        let sorted: Vec<String> = (0..18).map(|i| format!("{i:04}")).collect();
+        let is_test = |name: &&String| ["0000", "0008", "0016"].contains(&name.as_str());
+        let (tests, others): (Vec<_>, Vec<_>) = sorted.iter().partition(is_test);
+        let of_run: Vec<String> = tests.iter().chain(&others).map(ToString::to_string).collect();
+        assert_eq!(held_out(&of_run), (vec!["0000".into(), "0008".into(), "0016".into()], false));
+        assert_eq!(held_out(&sorted), (vec![], false), "without --eval all are listed by name");
+        let backwards: Vec<String> = sorted.iter().rev().cloned().collect();
+        assert_eq!(held_out(&backwards), (vec![], true), "of another program");
+        assert_eq!(held_out(&sorted[..8]), (vec![], true), "both runs would list these so");
+    }
+
+    /// The original code writes names without folders, so that the cameras of a rig have the same ones.
+    #[test]
+    fn repeats_have_names_and_poses_in_common() {
+        let moved = CAMERA.replace("[1, 2, 3]", "[1, 2, 3.5]");
+        let repeated = |list: &str| read(list).unwrap().notes.iter().any(|note| note.contains("the same image"));
+        assert!(!repeated(&format!("[{CAMERA}, {moved}]")));
+        assert!(repeated(&format!("[{CAMERA}, {moved}, {CAMERA}]")));
+        assert!(!repeated(&format!("[{CAMERA}, {}]", CAMERA.replace("\"a\"", "\"b\""))));
     }
 
     #[test]

@@ -7,6 +7,7 @@ mod hemisphere;
 mod image;
 mod inria;
 mod intrinsics;
+mod nerfstudio;
 mod other_kinds;
 mod pictures;
 mod points;
@@ -15,6 +16,7 @@ mod readings;
 mod split;
 mod transforms;
 mod views;
+mod world;
 
 pub use frames::{Selection, camera_file};
 pub use pose::rigid_pose;
@@ -34,4 +36,5 @@ pub use self::{
     readings::{DepthReadings, LargestDepth, Unmeasured},
     transforms::write_transforms,
     views::ResolutionSource,
+    world::{Similarity, frame_beside, frames_of_training},
 };

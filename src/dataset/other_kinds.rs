@@ -6,13 +6,15 @@ use serde_json::{Map, Value};
 type Kind = (&'static str, &'static str);
 
 const OF_DATA_SET: &str = "pass the transforms.json or the COLMAP model of the data set";
+const AS_TRANSFORMS: &str = "write poses and lens as a transforms.json, with camera-to-world matrices in OpenGL's axes";
+const OF_RUN: &str = "name it dataparser_transforms.json, beside the data set's transforms.json or COLMAP model";
 
 /// Recognises JSON that holds no cameras of a data set.
 pub(super) fn json(value: &Value) -> Option<Kind> {
     match value {
         Value::Array(list) => {
-            let Some(Value::Object(first)) = list.first() else { return Some(("an empty list", OF_DATA_SET)) };
-            of_list(first)
+            let Some(first) = list.first() else { return Some(("an empty list", OF_DATA_SET)) };
+            first.as_object().map_or(Some(("a list of numbers or matrices, without lenses", AS_TRANSFORMS)), of_list)
         }
         Value::Object(file) => of_object(file),
         _ => None,
@@ -21,10 +23,7 @@ pub(super) fn json(value: &Value) -> Option<Kind> {
 
 fn of_list(first: &Map<String, Value>) -> Option<Kind> {
     let has = |keys: &[&str]| keys.iter().all(|key| first.contains_key(*key));
-    if has(&["file_path", "transform"]) {
-        let instead = "its poses are in the trainer's coordinates, without lenses: pass the data set's transforms.json";
-        Some(("poses exported by `ns-export cameras`", instead))
-    } else if has(&["shots"]) {
+    if has(&["shots"]) {
         Some(("a reconstruction of OpenSfM or OpenDroneMap", "convert it with `ns-process-data odm`"))
     } else {
         None
@@ -37,12 +36,10 @@ fn of_object(file: &Map<String, Value>) -> Option<Kind> {
     let first_has = |key: &str, inner: &str| {
         lists(key).and_then(|list| list.first()).is_some_and(|first| first.get(inner).is_some())
     };
-    if has(&["camera_path"]) {
-        Some(("a camera path of nerfstudio's viewer, which no image was taken from", OF_DATA_SET))
-    } else if first_has("path", "R") {
-        Some(("a camera path of instant-ngp, which no image was taken from", OF_DATA_SET))
+    if first_has("path", "R") {
+        Some(("a camera path of instant-ngp, in the coordinates of its own viewer", AS_TRANSFORMS))
     } else if has(&["transform", "scale"]) && !has(&["frames"]) {
-        Some(("nerfstudio's dataparser_transforms.json, which holds no cameras", OF_DATA_SET))
+        Some(("nerfstudio's dataparser_transforms.json under another name", OF_RUN))
     } else if first_has("frames", "camtoworld") {
         Some(("the meta_data.json of sdfstudio", "pass the transforms.json that it was made from"))
     } else if has(&["poses", "K"]) {
@@ -53,6 +50,38 @@ fn of_object(file: &Map<String, Value>) -> Option<Kind> {
         Some(("the cameras.json of OpenDroneMap, which holds no poses", "convert it with `ns-process-data odm`"))
     } else {
         None
+    }
+}
+
+/// Recognises text that is no JSON, by its first lines.
+pub(super) fn text(text: &str) -> Option<Kind> {
+    let start = text.trim_start_matches('\u{feff}').trim_start();
+    let starts: [(&str, Kind); 7] = [
+        (
+            "<",
+            ("XML (cameras.xml of Metashape?)", "export them in COLMAP's format, or use `ns-process-data metashape`"),
+        ),
+        ("# Bundle file", ("the bundle.out of Bundler", AS_TRANSFORMS)),
+        ("NVM_V3", ("the .nvm of VisualSFM", AS_TRANSFORMS)),
+        ("!!python/object:nerfstudio", ("the config.yml of a nerfstudio run", OF_DATA_SET)),
+        ("# Camera list", ("cameras.txt of COLMAP alone", "pass the folder of cameras.txt and images.txt")),
+        ("# Image list", ("images.txt of COLMAP alone", "pass the folder of cameras.txt and images.txt")),
+        ("# 3D point list", ("points3D.txt of COLMAP", "pass the folder of cameras.txt and images.txt")),
+    ];
+    if let Some((_, kind)) = starts.into_iter().find(|(known, _)| start.starts_with(known)) {
+        return Some(kind);
+    }
+    if start.starts_with(['{', '[']) {
+        return None;
+    }
+    let line = start.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#'))?;
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let are_numbers = words.iter().all(|word| word.parse::<f64>().is_ok());
+    match words.len() {
+        // KITTI has matrices of three rows.
+        7 | 8 | 12 if are_numbers => Some(("a trajectory (TUM, KITTI?), without a lens", AS_TRANSFORMS)),
+        _ if line.matches(',').count() >= 3 => Some(("a table (.csv of RealityCapture?)", AS_TRANSFORMS)),
+        _ => None,
     }
 }
 
@@ -79,10 +108,9 @@ mod tests {
     #[test]
     fn files_of_other_programs_are_named() {
         for (text, name) in [
-            (r#"[{"file_path": "a.png", "transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}]"#, "ns-export"),
+            ("[[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]]", "matrices"),
             (r#"[{"cameras": {}, "shots": {}, "points": {}}]"#, "OpenSfM"),
             ("[]", "an empty list"),
-            (r#"{"camera_path": [], "render_height": 4}"#, "nerfstudio's viewer"),
             (r#"{"path": [{"R": [1, 0, 0, 0], "T": [0, 0, 0]}], "time": 0}"#, "instant-ngp"),
             (r#"{"transform": [[1, 0, 0, 0]], "scale": 0.3}"#, "dataparser_transforms.json"),
             (r#"{"camera_model": "OPENCV", "frames": [{"rgb_path": "a.png", "camtoworld": []}]}"#, "sdfstudio"),
@@ -92,6 +120,22 @@ mod tests {
         ] {
             let (kind, instead) = json(&serde_json::from_str(text).unwrap()).expect(text);
             assert!(kind.contains(name) && !instead.is_empty(), "{text}: {kind}");
+        }
+        for (lines, name) in [
+            ("<?xml version=\"1.0\"?>\n<document>", "Metashape"),
+            ("# Bundle file v0.3\n3 10\n", "Bundler"),
+            ("NVM_V3\n\n3\n", "VisualSFM"),
+            ("!!python/object:nerfstudio.engine.trainer.TrainerConfig\n", "config.yml"),
+            ("# Image list with two lines of data per image:\n", "images.txt"),
+            ("# timestamp tx ty tz qx qy qz qw\n1305031102.1 1.3 0.6 1.6 0.65 0.61 -0.3 -0.29\n", "TUM"),
+            ("1 0 0 0 0 1 0 0 0 0 1 0\n", "KITTI"),
+            ("#name,x,y,alt,heading,pitch,roll\nDSC1.jpg,1,2,3,4,5,6\n", ".csv"),
+        ] {
+            let (kind, instead) = text(lines).expect(lines);
+            assert!(kind.contains(name) && !instead.is_empty(), "{lines}: {kind}");
+        }
+        for lines in ["", "{", "[1, 2, 3, 4, 5]", "nonsense", "1 2 3"] {
+            assert_eq!(text(lines), None, "{lines}");
         }
         assert_eq!(json(&serde_json::from_str(r#"{"fl_x": 4, "frames": []}"#).unwrap()), None);
         assert_eq!(json(&Value::from(3)), None);

@@ -114,7 +114,7 @@ mod tests {
             None => '?',
             Some(Purpose::Training) => 't',
             Some(Purpose::HeldOut) => 'h',
-            Some(Purpose::Unused) => '-',
+            Some(Purpose::Unused | Purpose::Planned) => '-',
         };
         Ok(frames.iter().map(letter).collect())
     }

@@ -12,14 +12,16 @@ use std::collections::{BTreeSet, HashMap};
 use std::ffi::OsString;
 use std::path::Path;
 
+use serde_json::Value;
+
 use self::keys::{PERSPECTIVE, RawFile, RawFrame};
 pub use self::write::write_transforms;
 use super::intrinsics::{Fault, Intrinsics};
 use super::pictures::{MaskFile, image_path};
 use super::pose::rigid_pose;
 use super::split::Lists;
-use super::views::{Frame, ResolutionSource, Views};
-use super::{inria, other_kinds};
+use super::views::{Frame, Purpose, ResolutionSource, Views};
+use super::{inria, nerfstudio, other_kinds};
 use crate::geometry::{Camera, MAX_PIXELS, MAX_SIDE};
 use crate::{Error, Result};
 
@@ -30,6 +32,8 @@ pub(super) const SIZES: &str = "sides from 1 to 65536 and at most 1e8 pixels, or
 
 /// Focal lengths along x and y that differ by this factor are worth a note: no sensor's pixels do.
 const STRETCHED: f64 = 1.5;
+/// Numbers of poses that differ by less are those of one pose.
+const SAME_POSE: f64 = 1e-6;
 
 /// Checks the size of the images of a camera; the error is the size in words. It may have more than [`MAX_PIXELS`] if
 /// the camera is requested at another size.
@@ -159,7 +163,7 @@ impl Reading<'_> {
 
 /// Reads a transforms.json. See [`Views::read`].
 pub(super) fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
-    let (mut file, is_inria) = parse(path)?;
+    let (mut file, origin) = parse(path)?;
     file.check(path)?;
     let mut raw = file.frames.take().unwrap_or_default();
     let listed = raw.len();
@@ -167,9 +171,6 @@ pub(super) fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let keys: BTreeSet<String> = raw.iter().flat_map(|frame| frame.unknown.keys().cloned()).collect();
     let mut notes = file.notes(&keys, &raw);
-    if is_inria {
-        notes.push(inria::NOTE.into());
-    }
     let any_image = raw.iter().find_map(|frame| image_size(&image_path(folder, &frame.file_path)));
     let source = requested.map_or(ResolutionSource::File, |_| ResolutionSource::Requested);
     let mut reading =
@@ -196,14 +197,31 @@ pub(super) fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
         held_out_from: (frames.len() > listed).then_some(listed),
     };
     lists.apply(path, folder, &mut frames)?;
+    match origin {
+        Origin::Transforms => {}
+        Origin::Splatting => notes.extend(inria::purposes(&mut frames)),
+        Origin::Export => {
+            let is_eval = path.file_name().is_some_and(|name| name.to_string_lossy().contains("eval"));
+            let purpose = if is_eval { Purpose::HeldOut } else { Purpose::Training };
+            frames.iter_mut().for_each(|frame| frame.purpose = Some(purpose));
+        }
+        Origin::CameraPath => frames.iter_mut().for_each(|frame| {
+            (frame.purpose, frame.name) = (Some(Purpose::Planned), format!("camera path {}", frame.index));
+        }),
+    }
     Ok(Views { path: path.to_path_buf(), frames, resolution_source, notes })
 }
 
-/// The note that frames have the same image. Its pixels count as often as it is listed, as they do in training.
+/// The note that frames have the same image at the same pose. Its pixels count as often as it is listed, as they do in
+/// training. A name alone is no sign: cameras of a rig count their pictures alike.
 fn listed_twice(frames: &[Frame]) -> Option<String> {
     let mut last = HashMap::new();
+    let pose = |Camera { position, axes, .. }: &Camera| {
+        [*position, axes.x_axis, axes.y_axis].map(|v| (v / SAME_POSE).round().to_array().map(|x| x as i64))
+    };
     let named = frames.iter().filter(|frame| !frame.name.is_empty());
-    let mut again = named.filter_map(|frame| Some((last.insert(&frame.image, frame.index)?, frame)));
+    let mut again =
+        named.filter_map(|frame| Some((last.insert((&frame.image, pose(&frame.camera)), frame.index)?, frame)));
     let (earlier, Frame { index, name, .. }) = again.next()?;
     let count = 1 + again.count();
     Some(format!(
@@ -212,9 +230,34 @@ fn listed_twice(frames: &[Frame]) -> Option<String> {
     ))
 }
 
-/// Parses the JSON of a camera file with at least one frame; true if it is a `cameras.json` of Gaussian splatting. The
-/// message names other kinds of files that it knows.
-fn parse(path: &Path) -> Result<(RawFile, bool)> {
+/// What a transforms.json was made of.
+#[derive(Clone, Copy)]
+enum Origin {
+    Transforms,
+    /// The cameras.json of Gaussian splatting.
+    Splatting,
+    /// Poses of `ns-export cameras`.
+    Export,
+    /// A camera path of nerfstudio's viewer.
+    CameraPath,
+}
+
+/// Other files as a transforms.json, as far as they hold cameras.
+fn converted(path: &Path, value: &Value) -> Option<(Result<Value>, Origin)> {
+    if let Some(cameras) = inria::cameras(value) {
+        return Some((inria::as_transforms(path, cameras), Origin::Splatting));
+    }
+    match value {
+        Value::Array(list) if list.first()?.get("file_path").and(list[0].get("transform")).is_some() => {
+            Some((nerfstudio::exported(path, list), Origin::Export))
+        }
+        Value::Object(file) => nerfstudio::camera_path(path, file).map(|file| (file, Origin::CameraPath)),
+        _ => None,
+    }
+}
+
+/// Parses the JSON of a camera file with at least one frame. The message names other kinds of files that it knows.
+fn parse(path: &Path) -> Result<(RawFile, Origin)> {
     let bytes = crate::io::read(path)?;
     let other = |(kind, instead): (&str, &str)| {
         Error::malformed(path, "cameras", format!("a transforms.json or a COLMAP model; {instead}"), kind)
@@ -225,20 +268,28 @@ fn parse(path: &Path) -> Result<(RawFile, bool)> {
     let text = crate::io::text_of(path, bytes)?;
     let parsed: std::result::Result<RawFile, _> = serde_json::from_str(&text);
     let parsed = match parsed {
-        Ok(file) if file.frames.as_ref().is_some_and(|frames| !frames.is_empty()) => return Ok((file, false)),
+        Ok(file) if file.frames.as_ref().is_some_and(|frames| !frames.is_empty()) => {
+            return Ok((file, Origin::Transforms));
+        }
         other => other,
     };
     if let Ok(value) = serde_json::from_str(&text) {
-        if let Some(cameras) = inria::cameras(&value) {
-            let file = serde_json::from_value(inria::as_transforms(path, cameras)?);
-            let expected = "a cameras.json";
+        if let Some((file, origin)) = converted(path, &value) {
+            let expected = match origin {
+                Origin::Splatting => "a cameras.json",
+                _ => "poses with lenses",
+            };
+            let file = serde_json::from_value(file?);
             return file
-                .map(|file| (file, true))
+                .map(|file| (file, origin))
                 .map_err(|e| Error::malformed(path, "cameras", expected, e.to_string()));
         }
         if let Some(kind) = other_kinds::json(&value) {
             return Err(other(kind));
         }
+    }
+    if let Some(kind) = other_kinds::text(&text) {
+        return Err(other(kind));
     }
     Err(match parsed {
         Ok(_) => Error::malformed(path, "`frames`", "at least one frame", "none"),

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::colmap::ModelFiles;
 use super::pictures::MaskFile;
-use super::transforms;
+use super::{nerfstudio, transforms};
 use crate::geometry::Camera;
 use crate::{Error, Result};
 
@@ -39,6 +39,8 @@ pub enum Purpose {
     HeldOut,
     /// Neither.
     Unused,
+    /// No image was taken: the camera is of a camera path.
+    Planned,
 }
 
 impl Frame {
@@ -77,8 +79,8 @@ pub struct Views {
 }
 
 impl Views {
-    /// Reads a camera file: a transforms.json, the cameras.json of Gaussian splatting, or a sparse model of COLMAP (one
-    /// of its files, or its folder).
+    /// Reads a camera file: a transforms.json, the cameras.json of Gaussian splatting, a sparse model of COLMAP (one of
+    /// its files, or its folder), or either in the frame of a run of nerfstudio, by its dataparser_transforms.json.
     ///
     /// Pixels of intrinsics refer to `w` and `h`, else to the frame's own image, else to the other images. The
     /// cameras' size is the `requested` one, else that size, else 400 × 400.
@@ -90,6 +92,9 @@ impl Views {
     pub fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Self> {
         if let Some(model) = ModelFiles::find(path)? {
             return model.read(path, requested);
+        }
+        if nerfstudio::is_frame_of_run(path) {
+            return nerfstudio::in_frame_of_run(path, requested);
         }
         if path.extension().is_some_and(|extension| ["ckpt", "pt", "pth", "db"].iter().any(|e| extension == *e)) {
             let expected = "a transforms.json or a COLMAP model; a nerfstudio run's transforms.json is in its data set";
@@ -103,9 +108,14 @@ impl Views {
         transforms::read(path, requested)
     }
 
-    /// The files that hold the cameras of `path`: itself, or those of the COLMAP models that it may mean.
+    /// The files that hold the cameras of `path`: itself, or those of the COLMAP models that it may mean; with the
+    /// similarity of a run of nerfstudio those that it applies to.
     #[must_use]
     pub fn files(path: &Path) -> Vec<PathBuf> {
+        if nerfstudio::is_frame_of_run(path) {
+            let data = nerfstudio::data_set(path);
+            return std::iter::once(path.into()).chain(data.iter().flat_map(|data| Self::files(data))).collect();
+        }
         let models = ModelFiles::all(path);
         if models.is_empty() {
             return vec![path.to_path_buf()];

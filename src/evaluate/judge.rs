@@ -126,16 +126,17 @@ impl<'a> Evaluation<'a> {
             first.field.depth_posterior()?;
         }
         let all = views.frames.clone();
-        let training = training_cameras(self.model, &self.name, self.readings, &self.cameras, &views);
-        let split = FrameSplit::new(views);
+        let wanted = self.readings.first().and_then(|reading| reading.field.record().cameras_checksum);
+        let training = training_cameras(self.model, &self.name, wanted, &self.cameras, &views);
+        let length = bounds_of(self.model).longest_edge();
+        let is_known = |frame: &Frame| training.iter().any(|known| known.camera.is_like(&frame.camera, length));
+        let split = FrameSplit::new(views).by_model(&is_known);
         let frames = split.select(Part::HeldOut, &self.selection, |_| true)?;
         let mut remarks = Vec::new();
         if let Subject::Splats(_) = self.model {
             SplatRenderer::check_cameras(frames.iter().map(|frame| &frame.camera))?;
         }
-        let length = bounds_of(self.model).longest_edge();
-        let is_known = |frame: &&Frame| training.iter().any(|known| known.camera.is_like(&frame.camera, length));
-        let known = frames.iter().filter(is_known).count();
+        let known = frames.iter().filter(|frame| is_known(frame)).count();
         if let (Subject::Splats(_), Some(first)) = (self.model, training.first())
             && let Some(other) = frames.iter().find(|frame| frame.camera.resolution != first.camera.resolution)
         {

@@ -30,6 +30,7 @@ pub use measure::Reading;
 pub use report::{Inside, NeverSeen, Part, Report, Scored, ViewReport};
 pub use score::{ByError, DepthError, Score};
 pub use shown::ShownModel;
+pub(crate) use training_cameras::training_cameras;
 pub use training_images::{Compared, TrainingImages, compare_images};
 pub(crate) use training_views::Sighting;
 

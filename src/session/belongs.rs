@@ -15,6 +15,9 @@ use crate::splats::RenderMode;
 use crate::uncertainty::{RunRecord, UncertaintyField};
 use crate::{Error, Result};
 
+/// Priors that differ by less, in decades, are the same.
+const SAME_PRIOR: f64 = 0.05;
+
 impl OpenedModel {
     /// Opens the model `name` that `field`, of the file `path`, was computed from, in the coordinates that it had then.
     ///
@@ -140,6 +143,7 @@ pub fn check_fields(
     force: bool,
     tell: &mut dyn FnMut(Remark),
 ) -> Result<()> {
+    let priors = [first, second].map(|field| field.prior().log10());
     let [first, second] = [first, second].map(UncertaintyField::record);
     let models = first.model_checksum.zip(second.model_checksum).filter(|(a, b)| a != b);
     let differences = [
@@ -149,6 +153,16 @@ pub fn check_fields(
     for (what, expected, found) in differences.into_iter().flatten() {
         let expected = format!("{expected}, as of {}", path.display());
         refuse(format!("{what} of {}", other.display()), &expected, &found, "", force, tell)?;
+    }
+    if first.scale == second.scale
+        && first.covariance == second.covariance
+        && (priors[0] - priors[1]).abs() > SAME_PRIOR
+    {
+        tell(Remark::Warning(format!(
+            "U of one field is on another scale than that of the other: where nothing was seen, log10 U is {:.2} \
+             and {:.2}, as with another --level or --lambda; compare fields with these in common, or of --scale data",
+            priors[0], priors[1]
+        )));
     }
     if first.covariance != second.covariance {
         let [first, second] = [first, second].map(|record| record.covariance.name());

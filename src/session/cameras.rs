@@ -79,7 +79,15 @@ impl CameraSource {
     pub fn read(&self, model: Option<(&dyn RadianceField, &str)>, tell: &mut dyn FnMut(Remark)) -> Result<Views> {
         match (&self.file, model) {
             (Some(path), _) => self.read_file(path, tell),
-            (None, Some((model, name))) => self.ask(model, name),
+            (None, Some((model, name))) => {
+                if let Some(fov) = self.fov.filter(|fov| *fov <= std::f64::consts::PI) {
+                    let degrees = fov.to_degrees();
+                    tell(Remark::Warning(format!(
+                        "--fov is {fov} degrees; {fov} radians would be {degrees:.1} degrees"
+                    )));
+                }
+                self.ask(model, name)
+            }
             (None, None) => Err(none_for("this model")),
         }
     }
@@ -162,9 +170,21 @@ fn chosen(
     tell: &mut dyn FnMut(Remark),
 ) -> Result<(Views, String)> {
     let (path, resolution_source) = (views.path.clone(), views.resolution_source);
-    let split = FrameSplit::new(views);
+    let model = model.filter(|model| !model.training_cameras().is_empty());
+    let mut split = FrameSplit::new(views);
+    if let Some(model) = model {
+        let all = split.matching(Part::Training, &Selection::BothParts, |_| true)?;
+        let matches = known_cameras(model, all.iter().map(|frame| &frame.camera));
+        let known: BTreeSet<usize> = matches.iter().flatten().copied().collect();
+        if known.len() == model.training_cameras().len() {
+            let trained: BTreeSet<usize> =
+                all.iter().zip(matches).filter_map(|(frame, known)| known.map(|_| frame.index)).collect();
+            split = split.by_model(|frame| trained.contains(&frame.index));
+        }
+    }
     let frames = split.select(Part::Training, selection, |_| true)?;
-    if let Some(model) = model.filter(|model| !model.training_cameras().is_empty()) {
+    split.without_training().into_iter().for_each(|text| tell(Remark::Warning(text)));
+    if let Some(model) = model {
         let stored = model.training_cameras().len();
         let matches = known_cameras(model, frames.iter().map(|frame| &frame.camera));
         let known: BTreeSet<usize> = matches.iter().flatten().copied().collect();

@@ -12,6 +12,7 @@
 mod accumulation;
 mod belongs;
 mod cameras;
+mod candidates;
 mod checks;
 mod flags;
 mod identity;
@@ -22,12 +23,15 @@ mod report;
 mod run;
 mod scale;
 mod threshold;
+mod world;
 
 pub use accumulation::Accumulation;
 pub use belongs::{check_fields, image_settings};
 #[cfg(feature = "cli")]
 pub(crate) use cameras::scaled;
 pub use cameras::{CameraSource, Resolution, TrainingCameras};
+#[doc(hidden)]
+pub use candidates::Candidates;
 pub use flags::in_flags;
 pub use model::OpenedModel;
 pub use needs::Needs;

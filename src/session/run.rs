@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use derive_setters::Setters;
 
-use super::{Finished, ScaleKind, TrainingPixels, checks};
+use super::{Finished, ScaleKind, TrainingPixels, checks, world};
 use crate::dataset::{Views, read_masks};
 use crate::estimate::{
     Audit, Checkpoint, ErrorBudget, Estimation, Goal, GridSettings, Outcome, RayError, RaySettings, Run, StepCheck,
@@ -21,9 +21,9 @@ use crate::splats::{SplatRenderer, seen_domain};
 use crate::{Error, Result};
 
 /// Why cameras may see little of splats.
-const FRAMES_OF_SPLATS: &str = "splats in a frame that their export normalised (nerfstudio's \
-                                dataparser_transforms.json, gsplat), with the axes of glTF, or cameras whose cx and cy \
-                                are missing";
+const FRAMES_OF_SPLATS: &str = "splats in a frame that their training normalised (nerfstudio's: pass the run's \
+                                dataparser_transforms.json as --cameras; gsplat's), with the axes of glTF, or cameras \
+                                whose cx and cy are missing";
 
 /// Everything that a user can ask of a run of some model.
 #[derive(Setters)]
@@ -147,8 +147,9 @@ impl Session {
         // are right.
         let is_chosen = self.has_chosen_coordinates && sight.meet_matter <= 2.0 * sight.meet_domain;
         let is_of_splats = matches!(model, Subject::Splats(_));
+        let frame = if sight.causes().is_some() { self.other_frame(model)? } else { None };
         let causes = [
-            is_of_splats.then_some(FRAMES_OF_SPLATS),
+            frame.as_deref().or(is_of_splats.then_some(FRAMES_OF_SPLATS)),
             is_chosen.then_some("--cameras in other units and axes than those of NeRF-synthetic"),
             self.has_given_fov.then_some("--fov"),
         ];
@@ -158,8 +159,16 @@ impl Session {
         warnings.into_iter().flatten().for_each(|text| tell(Remark::Warning(text)));
         let audit = self.audit.then(|| run.audit()).transpose()?;
         let prepared = Prepared { session: self, model, monitor, run, grid, start, step, audit };
-        prepared.check_images(tell)?;
+        prepared.check_images(sight.causes().is_none(), tell)?;
         Ok(prepared)
+    }
+
+    /// The frame in which splats probably lie, if not in that of the cameras.
+    fn other_frame(&self, model: Subject) -> Result<Option<String>> {
+        match model {
+            Subject::Volume(_) => Ok(None),
+            Subject::Splats(splats) => world::other_frame(splats, &self.views),
+        }
     }
 
     /// The space that the field covers if nobody says another.
@@ -222,14 +231,21 @@ impl Session {
 
 impl Prepared<'_> {
     /// Compares the model with the images beside the cameras. Refuses cameras whose images it does not show at all,
-    /// unless forced. Warns if it shows them poorly.
-    fn check_images(&self, tell: &mut dyn FnMut(Remark)) -> Result<()> {
+    /// unless forced. Warns if it shows them poorly, and of splats that may lie in another frame, unless images speak
+    /// against that or it was said already.
+    fn check_images(&self, is_frame_open: bool, tell: &mut dyn FnMut(Remark)) -> Result<()> {
         let (session, stream) = (self.session, self.run.stream());
         let frames = session.images.as_ref().map_or(&*session.views.frames, TrainingImages::frames);
         let found = match &stream.source {
             RaySource::Volume(volume) => check_images(&volume.tracer, frames, stream.pixel_offset, self.monitor)?,
             RaySource::Splats(splats) => check_splat_images(splats, frames, stream.pixel_offset, self.monitor)?,
         };
+        let are_shown = found.as_ref().is_some_and(|found| found.warnings().is_empty());
+        if let Some(frame) =
+            (is_frame_open && !are_shown).then(|| session.other_frame(self.model)).transpose()?.flatten()
+        {
+            tell(Remark::Warning(format!("probably {frame}")));
+        }
         let Some(found) = found else { return Ok(()) };
         if !session.force {
             found.refuse()?;

@@ -126,8 +126,8 @@ impl DatasetFiles {
     /// Reads the camera files of `dataset`.
     ///
     /// `dataset` is a camera file, or a folder as [`camera_file`] reads it: with `transforms_train.json` (and
-    /// `transforms_test.json`, which is held out), `transforms.json`, or a COLMAP model. Without a partner file every
-    /// eighth image is held out. Frames without an image are left out, as in instant-ngp.
+    /// `transforms_test.json`, which is held out), `transforms.json`, or a COLMAP model. Without a partner file frames
+    /// are held out by the rule of [`FrameSplit`]. Frames without an image are left out, as in instant-ngp.
     ///
     /// # Errors
     /// If a file cannot be read, or no frame has an image.

@@ -95,8 +95,8 @@ fn seen(path: &Path) -> String {
 fn frames_have_the_numbers_of_their_file() {
     let desk = Desk::new();
     desk.cameras(|_| {});
-    // With fewer than eight pictures, the fourth is held out.
-    assert_eq!(desk.seen("").0, "###.");
+    // Of fewer than ten pictures none is held out.
+    assert_eq!(desk.seen("").0, "####");
     let (balls, said) = desk.seen("--views 3,");
     assert_eq!(balls, "...#");
     assert!(said.contains("used are frame 3"), "{said}");

@@ -161,11 +161,15 @@ fn all_verbs_select_frames_by_one_rule() {
     let [first, second] = desk.one_file();
     let missing = format!("{}, {}", first.display(), second.file_name().unwrap().display());
     let why = format!("of 20 frames of set/transforms.json: 2 have no image ({missing})");
-    let held = "2 are held out, every eighth (views `all` takes both)";
+    let frames = Views::read(&desk.path("set/transforms.json"), None).unwrap().frames;
+    // By name they have places 9 and 18 of 20.
+    let those = format!("8 ({}), 17 ({}) (views `all` takes both)", frames[8].name, frames[17].name);
+    let held = format!("2 are held out, a tenth, as nerfstudio does: {those}");
     let stderr = desk.good(&format!("train set/transforms.json -o m.safetensors --steps 40 {SMALL}"));
     assert!(stderr.contains(&format!("16 cameras {why}, {held}")), "{stderr}");
     let file = "--cameras set/transforms.json";
-    for model in ["m.safetensors", "scene:ball"] {
+    let by_model = format!("2 are held out, as the model was not trained on them: {those}");
+    for (model, held) in [("m.safetensors", &by_model), ("scene:ball", &held)] {
         let stderr = desk.good(&format!("uncertainty {model} {file} {RUN} -o file.oct"));
         assert!(
             stderr.contains(&format!("16 cameras {why}, {held}")) && !stderr.contains("not the cameras"),

@@ -4,7 +4,7 @@ use octobayes::dataset::{Views, write_transforms};
 use octobayes::geometry::Camera;
 use serde_json::Value;
 
-use crate::program::good;
+use crate::program::{good, run};
 use crate::splats::{folder, refused};
 
 const VOLUME: &str = "uncertainty scene:courtyard -o field.oct --level 5 --rays 4000 --resolution 32 --occupancy 32 \
@@ -101,4 +101,59 @@ fn what_splats_cannot_be_ranked_by_is_refused_by_name() {
     good(folder, "uncertainty scene.ply --cameras transforms.json -o paper.oct --level 5 --rays 6000 --keep-sums");
     refused(folder, "next-view scene.ply paper.oct --candidates transforms.json -o r.json", &["--scale data"]);
     assert!(!folder.join("r.json").exists());
+}
+
+#[test]
+fn candidates_with_the_axes_of_opencv_are_told() {
+    let folder = folder();
+    let folder = folder.path();
+    good(folder, SPLATS);
+    let frames = Views::read(&folder.join("transforms.json"), None).unwrap().frames;
+    let write = |name: &str, sign: f64| {
+        let opencv =
+            |camera: Camera| Camera { position: sign * camera.position, ..octobayes::geometry::opencv(&camera) };
+        let cameras: Vec<_> = frames.iter().map(|frame| (frame.name.clone(), opencv(frame.camera))).collect();
+        write_transforms(&folder.join(name), &cameras).unwrap();
+    };
+    let rank = |name: &str| format!("next-view scene.ply scene.oct --candidates {name} -o r.json");
+    write("away.json", 1.0);
+    let expected = [
+        "error: candidates: expected views that tell something; ",
+        "OpenCV's camera axes instead of OpenGL's: turned, ",
+        "found 4 of 4 candidates: gain 0, looks past the box (r_0, r_1, r_2, …)",
+    ];
+    refused(folder, &rank("away.json"), &expected);
+    assert!(!folder.join("r.json").exists());
+    // From the other side they see the model as well, as they do in a room, but upside down.
+    write("across.json", -1.0);
+    let said = |name: &str| String::from_utf8(run(folder, &rank(name)).stderr).unwrap();
+    assert!(said("across.json").contains("warning: the candidates' up axes point down"), "{}", said("across.json"));
+    assert!(!said("transforms.json").contains("warning"), "{}", said("transforms.json"));
+}
+
+#[test]
+fn a_camera_path_serves_as_candidates() {
+    let folder = folder();
+    let folder = folder.path();
+    good(folder, SPLATS);
+    let frames = Views::read(&folder.join("transforms.json"), None).unwrap().frames;
+    let camera = |frame: &octobayes::dataset::Frame| {
+        let Camera { position, axes, focal, resolution, .. } = frame.camera;
+        let row = |k: usize| [axes.x_axis[k], axes.y_axis[k], axes.z_axis[k], position[k]];
+        let pose: Vec<f64> = [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]].concat();
+        let fov = 2.0 * (0.5 * f64::from(resolution[1]) / focal[1]).atan().to_degrees();
+        serde_json::json!({ "camera_to_world": pose, "fov": fov, "aspect": 1 })
+    };
+    let list: Vec<Value> = frames.iter().map(camera).collect();
+    let file = serde_json::json!({ "camera_type": "perspective", "render_width": 48, "render_height": 40,
+        "camera_path": list });
+    std::fs::write(folder.join("camera_path.json"), file.to_string()).unwrap();
+    let gains = |name: &str| -> Vec<f64> {
+        good(folder, &format!("next-view scene.ply scene.oct --candidates {name} -o r.json"));
+        let candidates = ranking(folder, "r.json")["candidates"].as_array().unwrap().clone();
+        candidates.iter().map(|candidate| candidate["gain"].as_f64().unwrap()).collect()
+    };
+    let (path, own) = (gains("camera_path.json"), gains("transforms.json"));
+    assert!(path.len() == 4 && path.iter().zip(&own).all(|(a, b)| (a / b - 1.0).abs() < 1e-6), "{path:?} {own:?}");
+    refused(folder, "uncertainty scene.ply --cameras camera_path.json --level 4 -o x.oct", &["a camera path, along"]);
 }

@@ -90,3 +90,18 @@ fn fields_of_two_models_are_not_compared_in_silence() {
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success() && said.contains("warning: model of courtyard.oct"), "{said}");
 }
+
+#[test]
+fn fields_of_two_levels_are_not_compared_in_silence() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let run_at = "uncertainty scene:ball --rays 1000 --resolution 32 --occupancy 16 --box=-1,-1,-1,1,1,1 --level";
+    for scale in ["", "--scale data --noise 0.03"] {
+        good(folder, &format!("{run_at} 4 {scale} -o coarse.oct"));
+        good(folder, &format!("{run_at} 5 {scale} -o fine.oct"));
+        let output = run(folder, "compare coarse.oct fine.oct --points 1000");
+        let said = String::from_utf8(output.stderr).unwrap();
+        // In the paper's scale the prior is that of a cell's size.
+        assert_eq!(said.contains("warning: U of one field is on another scale"), scale.is_empty(), "{scale}: {said}");
+    }
+}

@@ -276,7 +276,17 @@ impl Desk {
             |rotation: &str| format!("[{{\"img_name\": \"a\", \"position\": [0, 0, 0], \"rotation\": {rotation}}}]");
         self.write("splats.json", splats("[[1, 0, 0], [0, 1, 0], [0, 0, 1]]"));
         self.write("no_rotation.json", splats("[]"));
-        self.write("camera_path.json", "{\"camera_path\": [], \"fps\": 24}");
+        let key = "\"camera_to_world\": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 3, 0, 0, 0, 1], \"fov\": 40";
+        let path = |kind: &str| {
+            let size = "\"render_width\": 16, \"render_height\": 16";
+            format!("{{\"camera_type\": \"{kind}\", {size}, \"camera_path\": [{{{key}}}]}}")
+        };
+        self.write("camera_path.json", path("perspective"));
+        self.write("equirectangular_path.json", path("equirectangular"));
+        self.write("trajectory.txt", "# timestamp tx ty tz qx qy qz qw\n1305031102.1 1.3 0.6 1.6 0.6 0.6 -0.3 -0.3\n");
+        self.write("matrices.json", format!("[{pose}]"));
+        self.write("dataparser_transforms.json", "{\"transform\": [[1,0,0,0],[0,1,0,0],[0,0,1,0]], \"scale\": 0.4}");
+        self.write("exported.json", "[{\"file_path\": \"a\", \"transform\": [[1,0,0,0],[0,1,0,0],[0,0,1,3]]}]");
         for (model, images) in [("0", 1), ("1", 2)] {
             let folder = format!("project/sparse/{model}");
             std::fs::create_dir_all(self.path(&folder)).unwrap();
@@ -379,7 +389,7 @@ impl Desk {
             let far = image::ImageBuffer::from_pixel(16, 16, image::Luma([6554_u16]));
             far.save(self.path(&format!("{name}_far.png"))).unwrap();
         }
-        let metric = "--scale data --noise 0.0316 --level 4 --rays 600 --occupancy 16 -o metric.oct";
+        let metric = "--scale data --noise 0.0316 --keep-sums --level 4 --rays 600 --occupancy 16 -o metric.oct";
         self.good(&format!("uncertainty scene:ball --cameras cameras.json {metric}"));
     }
 

@@ -41,8 +41,9 @@ pub struct FrameOptions {
     /// `all` [default: the training frames; in `evaluate`, the held-out frames]
     ///
     /// Frames are numbered from 0 in the order of the file, as in `render --frame`. Frames without an image are left
-    /// out, unless no frame has one. If the file does not list its training frames, every eighth frame with an image
-    /// is held out, as in `train`.
+    /// out, unless no frame has one. If neither the file lists its training frames nor the model stores its cameras,
+    /// frames are held out as the usual programs do: of a COLMAP model every eighth by name, from the first, of other
+    /// files a tenth, as in nerfstudio; not of a cameras.json. A note names them.
     #[arg(
         long,
         value_name = "N|I,J,...|all",
@@ -74,6 +75,8 @@ pub struct CameraOptions {
     ///
     /// transforms.json has intrinsics and camera-to-world poses with OpenGL axes. A COLMAP model is the folder of
     /// cameras and images, .bin or .txt, or one above that has sparse/0. In a folder, transforms_train.json will do.
+    /// For splats of nerfstudio pass the run's dataparser_transforms.json, which moves the data set's cameras to their
+    /// frame.
     #[arg(long, value_name = "PATH", help_heading = heading::INPUT)]
     pub cameras: Option<PathBuf>,
 

@@ -40,7 +40,8 @@ const TEST_PIXELS: usize = 200_000;
 ///
 /// DATASET is a folder or a camera file, as `octobayes synth`, NeRF-synthetic, instant-ngp, nerfstudio and COLMAP
 /// (images and sparse/0) write them. Beside a transforms_train.json, transforms_test.json is held out for measuring.
-/// If the files do not list their training images, every eighth image is held out. `uncertainty`, `render`,
+/// If the files do not list their training images, some are held out: every eighth of a COLMAP model, a tenth of
+/// others. `uncertainty`, `render`,
 /// `evaluate` and `info` read the model.
 ///
 /// With --splats the model is a .ply of Gaussian splats, and cameras.json (as the original code writes it) and

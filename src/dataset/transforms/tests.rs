@@ -240,7 +240,7 @@ fn what_is_wrong_is_said() {
             &format!("{{\"camera_angle_x\": 1, \"camera_model\": \"OPENCV\", \"k5\": 0.1, \"frames\": [{{{POSE}}}]}}"),
             "found k5 0.1",
         ),
-        ("[{\"file_path\": \"a\", \"transform\": []}]", "found poses exported by `ns-export cameras`"),
+        ("[{\"file_path\": \"a\", \"transform\": []}]", "found poses of `ns-export cameras` alone"),
         ("{\"frames\": 3}", "line 1"),
         ("3", "as an object with a list `frames`"),
     ];
