@@ -3,8 +3,12 @@
 use std::path::Path;
 
 use glam::DVec3;
-use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
+use image::{DynamicImage, ImageError, ImageReader};
+use rayon::prelude::*;
 
+use super::sizes::{Head, is_resized};
+use super::views::Frame;
+use crate::geometry::covered;
 use crate::{Error, Result};
 
 /// Decodes a PNG or JPEG of known size. The size in the file is compared with it before memory is allocated.
@@ -21,10 +25,10 @@ pub(super) fn decode(path: &Path, what: &str, resolution: [u32; 2]) -> Result<Dy
     let file = ImageReader::open(path).map_err(Error::io(path, "cannot open"))?;
     // The content decides: a JPEG named like a PNG is still a JPEG.
     let file = file.with_guessed_format().map_err(Error::io(path, "cannot read"))?;
-    let decoder = file.into_decoder().map_err(wrong)?;
-    let (w, h) = decoder.dimensions();
-    if [w, h] != resolution {
-        let [expected, found] = [resolution, [w, h]].map(|[w, h]| format!("{w} x {h} pixels"));
+    let mut decoder = file.into_decoder().map_err(wrong)?;
+    let head = Head::of(&mut decoder);
+    if head.size != resolution {
+        let [expected, found] = head.expected_and_found(resolution);
         return Err(Error::malformed(path, what, expected, found));
     }
     DynamicImage::from_decoder(decoder).map_err(wrong)
@@ -64,6 +68,54 @@ impl PosedImage {
     pub fn read(path: &Path, resolution: [u32; 2]) -> Result<Self> {
         let image = decode(path, "image", resolution)?.into_rgba8();
         Ok(Self { resolution, pixels: image.pixels().map(|p| p.0).collect() })
+    }
+
+    /// Reads the picture of a frame at the size of its camera: one that is larger is made [smaller](Self::shrunk).
+    ///
+    /// # Errors
+    /// As [`PosedImage::read`].
+    pub fn of(frame: &Frame) -> Result<Self> {
+        let camera @ [w, h] = frame.camera.resolution;
+        let size = Head::read(&frame.image).map(|head| head.size);
+        let larger = size.filter(|size| is_resized(camera, *size) && size[0] >= w && size[1] >= h);
+        Ok(Self::read(&frame.image, larger.unwrap_or(camera))?.shrunk(camera))
+    }
+
+    /// The same picture with fewer pixels, or as many, each the mean of what it covers, also of parts of pixels.
+    /// Colours are weighed by alpha.
+    ///
+    /// # Panics
+    /// If there are more pixels along an axis.
+    #[must_use]
+    pub fn shrunk(self, resolution: [u32; 2]) -> Self {
+        let ([width, height], [w, h]) = (self.resolution, resolution);
+        if resolution == self.resolution {
+            return self;
+        }
+        assert!((1..=width).contains(&w) && (1..=height).contains(&h), "{resolution:?} of {:?}", self.resolution);
+        let columns: Vec<Vec<(u32, u64)>> = (0..w).map(|i| covered(i, width, w).collect()).collect();
+        let area = u64::from(width) * u64::from(height);
+        let rounded = |sum: u64, of: u64| ((2 * sum + of) / (2 * of)) as u8;
+        let row = |row: u32| {
+            let rows: Vec<(u32, u64)> = covered(row, height, h).collect();
+            let mean = |columns: &Vec<(u32, u64)>| {
+                // Whole numbers, so that nothing is rounded before the end: at most 255² times the area.
+                let (mut color, mut alpha) = ([0; 3], 0);
+                for &(y, share) in &rows {
+                    for &(x, part) in columns {
+                        let [r, g, b, a] = self.pixels[y as usize * width as usize + x as usize].map(u64::from);
+                        let a = a * share * part;
+                        alpha += a;
+                        color = [color[0] + r * a, color[1] + g * a, color[2] + b * a];
+                    }
+                }
+                let [r, g, b] = color.map(|sum| rounded(sum, alpha.max(1)));
+                [r, g, b, rounded(alpha, area)]
+            };
+            columns.iter().map(mean).collect::<Vec<_>>()
+        };
+        let pixels = (0..h).into_par_iter().flat_map_iter(row).collect();
+        Self { resolution, pixels }
     }
 
     /// Colour of pixel `i` over a background.

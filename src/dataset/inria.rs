@@ -223,6 +223,21 @@ mod tests {
     }
 
     #[test]
+    fn pictures_are_found_beside_the_file_or_in_images() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cameras.json");
+        std::fs::write(&path, format!("[{CAMERA}]")).unwrap();
+        for (picture, size) in [("images_2/a.png", [20, 15]), ("images/a.jpg", [39, 29]), ("a.png", [10, 8])] {
+            let picture = folder.path().join(picture);
+            std::fs::create_dir_all(picture.parent().unwrap()).unwrap();
+            image::GrayImage::new(size[0], size[1]).save(&picture).unwrap();
+            let frame = Views::read(&path, None).unwrap().frames.remove(0);
+            assert_eq!((&frame.image, frame.camera.resolution), (&picture, size));
+            assert!((frame.camera.focal[1] - 51.0 * f64::from(size[1]) / 30.0).abs() < 1e-12);
+        }
+    }
+
+    #[test]
     fn keys_of_other_programs_are_read_or_named() {
         let more =
             CAMERA.replace("\"a\"", "\"b\"").replace("\"fx\"", "\"cx\": 21, \"cy\": 14, \"depth_params\": 3, \"fx\"");

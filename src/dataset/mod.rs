@@ -13,6 +13,7 @@ mod pictures;
 mod points;
 mod pose;
 mod readings;
+mod sizes;
 mod split;
 mod transforms;
 mod views;
@@ -34,6 +35,7 @@ pub use self::{
     pictures::{MaskFile, check_masks, image_path, read_masks},
     points::PointReader,
     readings::{DepthReadings, LargestDepth, Unmeasured},
+    sizes::has_shape,
     transforms::write_transforms,
     views::ResolutionSource,
     world::{Similarity, frame_beside, frames_of_training},

@@ -129,7 +129,7 @@ pub(super) fn in_frame_of_run(path: &Path, requested: Option<[u32; 2]>) -> Resul
     } else {
         of_run
     };
-    let mut views = Views::read(&data, requested)?;
+    let mut views = Views::stated(&data, requested)?;
     views.frames.iter_mut().for_each(|frame| frame.camera = similarity.camera(&frame.camera));
     views.notes.push(format!(
         "the cameras of {}, moved to the frame that nerfstudio trained in; a length of the data set is {:.4} of these, \

@@ -7,7 +7,9 @@ use rayon::prelude::*;
 
 use super::Frame;
 use super::image::decode;
+use super::sizes::{Head, is_resized_map};
 use crate::geometry::Mask;
+use crate::io::place::folder_of;
 use crate::{Error, Result};
 
 /// Extensions of pictures, in the order in which they are tried.
@@ -28,6 +30,39 @@ pub fn image_path(folder: &Path, file_path: &str) -> PathBuf {
         let path = folder.join(&turned);
         if has_known_extension(&path) { path } else { with_suffix(&path, "png") }
     })
+}
+
+/// Folders of smaller copies of the pictures in `images`, as mip-NeRF 360, gsplat and nerfstudio name them.
+pub const SMALLER: [&str; 3] = ["images_2", "images_4", "images_8"];
+
+/// The scene, if `path` is a folder of its pictures: `images`, or a smaller copy.
+pub(super) fn scene_of(path: &Path) -> Option<&Path> {
+    let name = path.file_name()?.to_str()?;
+    let is_copy = |times: &str| times.bytes().all(|b| b.is_ascii_digit());
+    let is_of_pictures = name == "images" || name.strip_prefix("images_").is_some_and(is_copy);
+    (is_of_pictures && path.is_dir()).then(|| folder_of(path))
+}
+
+/// The picture that `name` stands for in another folder than `images`; without `images` in its name, that of this name
+/// below the folder if it `may_be_below`.
+pub(super) fn image_path_in(folder: &Path, pictures: &str, name: &str, may_be_below: bool) -> Option<PathBuf> {
+    let name = name.replace('\\', "/");
+    let mut parts: Vec<&str> = name.split('/').collect();
+    match parts.iter().rev().skip(1).position(|part| *part == "images") {
+        Some(at) => {
+            let at = parts.len() - 2 - at;
+            parts[at] = pictures;
+        }
+        None if may_be_below => parts.insert(0, pictures),
+        None => return None,
+    }
+    Some(image_path(folder, &parts.join("/")))
+}
+
+/// The note that pictures of a smaller copy are used, for nobody chose it.
+pub(super) fn note_of_smaller(pictures: &Path) -> Option<String> {
+    let name = pictures.file_name()?.to_str().filter(|name| SMALLER.contains(name))?;
+    Some(format!("no picture is in `images`; those in `{name}` are used"))
 }
 
 fn has_known_extension(path: &Path) -> bool {
@@ -113,7 +148,9 @@ impl MaskFile {
 pub fn read_masks(frames: &[Frame]) -> Result<Vec<Option<Mask>>> {
     let read = |frame: &Frame| {
         let Some(file) = &frame.mask else { return Ok(None) };
-        Ok(Some(file.read(frame.size)?.resized(frame.camera.resolution)))
+        // Masks of the original pictures may lie beside smaller ones.
+        let own = Head::read(file.path()).map(|head| head.size).filter(|size| is_resized_map(*size, frame.size));
+        Ok(Some(file.read(own.unwrap_or(frame.size))?.resized(frame.camera.resolution)))
     };
     frames.par_iter().map(read).collect()
 }

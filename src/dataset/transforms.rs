@@ -10,15 +10,16 @@ mod write;
 
 use std::collections::{BTreeSet, HashMap};
 use std::ffi::OsString;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
 use self::keys::{PERSPECTIVE, RawFile, RawFrame};
 pub use self::write::write_transforms;
 use super::intrinsics::{Fault, Intrinsics};
-use super::pictures::{MaskFile, image_path};
+use super::pictures::{MaskFile, SMALLER, image_path, image_path_in, note_of_smaller};
 use super::pose::rigid_pose;
+use super::sizes::Head;
 use super::split::Lists;
 use super::views::{Frame, Purpose, ResolutionSource, Views};
 use super::{inria, nerfstudio, other_kinds};
@@ -51,13 +52,44 @@ pub(super) fn size(w: f64, h: f64, is_resized: bool) -> std::result::Result<[u32
 
 /// The size of a picture, if it is one.
 fn image_size(path: &Path) -> Option<[u32; 2]> {
-    image::image_dimensions(path).ok().map(|(w, h)| [w, h])
+    Head::read(path).map(|head| head.size)
+}
+
+/// Where the pictures of a camera file are.
+struct Pictures<'a> {
+    /// The folder of the camera file.
+    folder: &'a Path,
+    /// The folder in it that takes the place of `images` in their names, if not `images`; or that they are below, as
+    /// those of a cameras.json or of a folder that the user named may be.
+    instead: Option<&'a str>,
+    may_be_below: bool,
+}
+
+impl<'a> Pictures<'a> {
+    /// Finds the pictures of these names: in the folder that the user `chose`, or where any is, `images` before its
+    /// smaller copies.
+    fn find(folder: &'a Path, chosen: Option<&'a str>, is_inria: bool, frames: &[RawFrame]) -> Self {
+        let places = |instead| Self { folder, instead, may_be_below: is_inria || chosen.is_some() };
+        if chosen.is_some() {
+            return places(chosen);
+        }
+        let beside = is_inria.then_some("images");
+        let others = beside.into_iter().chain(SMALLER).map(Some);
+        let holds = |pictures: &Self| frames.iter().any(|frame| pictures.path(&frame.file_path).is_file());
+        [None].into_iter().chain(others).map(places).find(holds).unwrap_or_else(|| places(None))
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        let other = self.instead.and_then(|instead| image_path_in(self.folder, instead, name, self.may_be_below));
+        other.unwrap_or_else(|| image_path(self.folder, name))
+    }
 }
 
 /// A camera file while it is read.
 struct Reading<'a> {
     path: &'a Path,
     folder: &'a Path,
+    pictures: &'a Pictures<'a>,
     requested: Option<[u32; 2]>,
     file: &'a RawFile,
     /// Size of the first picture that is there, for frames without one.
@@ -101,7 +133,7 @@ impl Reading<'_> {
             return Err(Error::malformed(path, at("`camera_model`"), expected, found));
         }
         let stated = raw.intrinsics.over(&self.file.intrinsics).map_err(fault)?;
-        let image = image_path(self.folder, &raw.file_path);
+        let image = self.pictures.path(&raw.file_path);
         let size = self.size(&stated, &image, &at)?;
         // Angles alone hold for images of any size.
         let reference = size.or(self.requested).unwrap_or(ASSUMED);
@@ -161,8 +193,8 @@ impl Reading<'_> {
     }
 }
 
-/// Reads a transforms.json. See [`Views::read`].
-pub(super) fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
+/// Reads a transforms.json, with the pictures in a folder `chosen` beside it. See [`Views::read`].
+pub(super) fn read(path: &Path, chosen: Option<&str>, requested: Option<[u32; 2]>) -> Result<Views> {
     let (mut file, origin) = parse(path)?;
     file.check(path)?;
     let mut raw = file.frames.take().unwrap_or_default();
@@ -171,10 +203,23 @@ pub(super) fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let keys: BTreeSet<String> = raw.iter().flat_map(|frame| frame.unknown.keys().cloned()).collect();
     let mut notes = file.notes(&keys, &raw);
-    let any_image = raw.iter().find_map(|frame| image_size(&image_path(folder, &frame.file_path)));
+    let pictures = &Pictures::find(folder, chosen, matches!(origin, Origin::Splatting), &raw);
+    if chosen.is_none() {
+        notes.extend(pictures.instead.and_then(|instead| note_of_smaller(Path::new(instead))));
+    }
+    let any_image = raw.iter().find_map(|frame| image_size(&pictures.path(&frame.file_path)));
     let source = requested.map_or(ResolutionSource::File, |_| ResolutionSource::Requested);
-    let mut reading =
-        Reading { path, folder, requested, file: &file, any_image, source, contradiction: None, stretched: None };
+    let mut reading = Reading {
+        path,
+        folder,
+        pictures,
+        requested,
+        file: &file,
+        any_image,
+        source,
+        contradiction: None,
+        stretched: None,
+    };
     let frames: Result<Vec<Frame>> = raw.into_iter().enumerate().map(|(i, raw)| reading.frame(i, raw)).collect();
     let mut frames = frames?;
     notes.extend(listed_twice(&frames));

@@ -3,9 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use super::colmap::ModelFiles;
-use super::pictures::MaskFile;
+use super::pictures::{MaskFile, SMALLER, image_path_in, scene_of};
+use super::sizes::follow_pictures;
 use super::{nerfstudio, transforms};
 use crate::geometry::Camera;
+use crate::io::place::folder_of;
 use crate::{Error, Result};
 
 /// A camera with its image.
@@ -41,6 +43,11 @@ pub enum Purpose {
     Unused,
     /// No image was taken: the camera is of a camera path.
     Planned,
+}
+
+/// The transforms.json of the scene, if `path` is a folder of its pictures.
+fn transforms_beside(path: &Path) -> Option<PathBuf> {
+    scene_of(path).map(|scene| scene.join("transforms.json")).filter(|file| file.is_file())
 }
 
 impl Frame {
@@ -80,16 +87,28 @@ pub struct Views {
 
 impl Views {
     /// Reads a camera file: a transforms.json, the cameras.json of Gaussian splatting, a sparse model of COLMAP (one of
-    /// its files, or its folder), or either in the frame of a run of nerfstudio, by its dataparser_transforms.json.
+    /// its files, or its folder), or either in the frame of a run of nerfstudio, by its dataparser_transforms.json. A
+    /// folder of pictures, `images` or `images_4` say, means these pictures with the cameras beside it.
     ///
     /// Pixels of intrinsics refer to `w` and `h`, else to the frame's own image, else to the other images. The
-    /// cameras' size is the `requested` one, else that size, else 400 × 400.
+    /// cameras' size is the `requested` one, else that of the frame's image if it is the same picture at another size,
+    /// else that size, else 400 × 400.
     ///
     /// # Errors
     /// If the file is missing or is not JSON, has no frames or no focal length, if a matrix is not a finite rigid pose
     /// (a uniform scale is removed), if the size that pixels refer to is unknown, or if a key requires rays or frames
     /// that are not supported.
     pub fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Self> {
+        let mut views = Self::stated(path, requested)?;
+        follow_pictures(&mut views, requested.is_some());
+        Ok(views)
+    }
+
+    /// The cameras as the file states them.
+    pub(super) fn stated(path: &Path, requested: Option<[u32; 2]>) -> Result<Self> {
+        if let Some(file) = transforms_beside(path) {
+            return transforms::read(&file, path.file_name().and_then(|name| name.to_str()), requested);
+        }
         if let Some(model) = ModelFiles::find(path)? {
             return model.read(path, requested);
         }
@@ -105,7 +124,7 @@ impl Views {
                 "a camera file: transforms.json, or the folder of a COLMAP model (cameras and images, .bin or .txt)";
             return Err(Error::malformed(path, "cameras", expected, "a folder without"));
         }
-        transforms::read(path, requested)
+        transforms::read(path, None, requested)
     }
 
     /// The files that hold the cameras of `path`: itself, or those of the COLMAP models that it may mean; with the
@@ -116,11 +135,25 @@ impl Views {
             let data = nerfstudio::data_set(path);
             return std::iter::once(path.into()).chain(data.iter().flat_map(|data| Self::files(data))).collect();
         }
+        if let Some(file) = transforms_beside(path) {
+            return vec![file];
+        }
         let models = ModelFiles::all(path);
         if models.is_empty() {
             return vec![path.to_path_buf()];
         }
         models.into_iter().flat_map(|model| [model.cameras, model.images]).collect()
+    }
+
+    /// Where the image of the first frame is looked for.
+    pub(crate) fn places(&self) -> Vec<PathBuf> {
+        let Frame { name, image, .. } = &self.frames[0];
+        if let Ok(Some(model)) = ModelFiles::find(&self.path) {
+            return model.places(&self.path, name);
+        }
+        let folder = folder_of(&self.path);
+        let smaller = SMALLER.iter().filter_map(|smaller| image_path_in(folder, smaller, name, false));
+        [image.clone()].into_iter().chain(smaller).collect()
     }
 
     /// Cameras of all frames.

@@ -55,7 +55,8 @@ pub struct TrueView {
 }
 
 impl TrueView {
-    /// Reads every `stride`-th pixel along x and y of a frame's image and, with `depth`, of its depth map.
+    /// Reads every `stride`-th pixel along x and y of a frame's image and, with `depth`, of its depth map, both at the
+    /// size of the camera: a larger image becomes smaller.
     ///
     /// # Errors
     /// If a file is missing or damaged, or its size differs from the camera's.
@@ -66,7 +67,7 @@ impl TrueView {
         pixel_offset: f64,
         stride: u32,
     ) -> Result<Self> {
-        let image = PosedImage::read(&frame.image, frame.camera.resolution)?;
+        let image = PosedImage::of(frame)?;
         let mask = read_masks(std::slice::from_ref(frame))?.swap_remove(0);
         let truth = depth.map(|depth| depth.read(frame, pixel_offset)).transpose()?;
         let camera = frame.camera.strided(stride, pixel_offset);

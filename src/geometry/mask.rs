@@ -4,6 +4,19 @@ use std::sync::Arc;
 
 use super::Camera;
 
+/// The pixel of `from` along an axis that has the centre of pixel `i` of `to`.
+pub(crate) fn nearest(i: u32, from: u32, to: u32) -> u32 {
+    ((2 * u64::from(i) + 1) * u64::from(from) / (2 * u64::from(to))) as u32
+}
+
+/// The pixels of `from` along an axis that pixel `i` of `to` covers, each with its share, which are `from` together.
+pub(crate) fn covered(i: u32, from: u32, to: u32) -> impl Iterator<Item = (u32, u64)> {
+    // In units of which a pixel of `from` has `to`, and one of `to` has `from`.
+    let [i, from, to] = [i, from, to].map(u64::from);
+    let [start, end] = [i * from, (i + 1) * from];
+    (start / to..end.div_ceil(to)).map(move |k| (k as u32, end.min((k + 1) * to) - start.max(k * to)))
+}
+
 /// The pixels of an image that a model was trained on; the others are masked.
 ///
 /// A copy shares its pixels with the original.
@@ -66,12 +79,17 @@ impl Mask {
         if resolution == self.0.resolution {
             return self.clone();
         }
-        // The centre of pixel i of n lies in pixel (2 i + 1) m / 2 n of m.
-        let at = |i: u32, axis: usize| {
-            let [from, to] = [self.0.resolution[axis], resolution[axis]].map(u64::from);
-            ((2 * u64::from(i) + 1) * from / (2 * to)) as u32
-        };
-        Self::new(resolution, |column, row| self.keeps(at(column, 0), at(row, 1)))
+        let ([width, height], [w, h]) = (self.0.resolution, resolution);
+        Self::new(resolution, |column, row| self.keeps(nearest(column, width, w), nearest(row, height, h)))
+    }
+
+    /// The mask of a smaller picture whose pixels are means: a pixel counts if all that it covers counts.
+    #[must_use]
+    pub fn shrunk(&self, resolution: [u32; 2]) -> Self {
+        let ([width, height], [w, h]) = (self.0.resolution, resolution);
+        Self::new(resolution, |column, row| {
+            covered(row, height, h).all(|(y, _)| covered(column, width, w).all(|(x, _)| self.keeps(x, y)))
+        })
     }
 
     /// The kept pixel at a point of the unit square: equal areas hold equal numbers of kept pixels.
@@ -165,6 +183,17 @@ mod tests {
             prop_assert_eq!(mask.pixels(), kept.len() as u64);
             prop_assert!(all.into_iter().all(|[column, row]| mask.keeps(column, row) == keep(column, row)));
             prop_assert_eq!((0..mask.pixels()).map(|n| mask.nth(n)).collect::<Vec<_>>(), kept);
+            // Whole pixels of the smaller mask, cut at the edges of the larger one's.
+            let fewer = [to[0].min(width), to[1].min(height)];
+            let shrunk = mask.shrunk(fewer);
+            for (column, row) in (0..fewer[0]).flat_map(|column| (0..fewer[1]).map(move |row| (column, row))) {
+                let touched = |i: u32, k: u32, from: u32, to: u32| k * to < (i + 1) * from && (k + 1) * to > i * from;
+                let all = (0..width).filter(|&x| touched(column, x, width, fewer[0]));
+                let keeps = all.flat_map(|x| (0..height).map(move |y| (x, y)))
+                    .filter(|&(_, y)| touched(row, y, height, fewer[1]))
+                    .all(|(x, y)| keep(x, y));
+                prop_assert_eq!(shrunk.keeps(column, row), keeps);
+            }
             // The pixel that holds the centre, in floating point; ties between two pixels are left out.
             let resized = mask.resized(to);
             for (column, row) in (0..to[0]).flat_map(|column| (0..to[1]).map(move |row| (column, row))) {

@@ -24,6 +24,8 @@ pub use distortion::Distortion;
 pub use domain::{Domain, Norm};
 pub use lattice::{Lattice, MAX_LEVEL};
 pub use mask::{Mask, kept_pixels};
+#[cfg(feature = "files")]
+pub(crate) use mask::{covered, nearest};
 pub use named::NamedCamera;
 pub use poses::{inverted, opencv};
 pub use ray::Ray;

@@ -12,17 +12,14 @@ use crate::{Error, Result};
 #[cfg(feature = "synth")]
 pub use write::write_exr;
 
-/// Reads the depth of an image of known size: its only channel, or the only one whose name ends in `Z` or `depth`. The
-/// size in the file is compared before memory is allocated.
-pub fn read_exr_depth(path: &Path, resolution: [u32; 2]) -> Result<Vec<f32>> {
+/// Reads width, height and depth of an image: its only channel, or the only one whose name ends in `Z` or `depth`. The
+/// size in the file is checked before memory is allocated.
+pub fn read_exr_depth(path: &Path, check: impl Fn([u32; 2]) -> Result<()>) -> Result<([u32; 2], Vec<f32>)> {
     let damaged = |e: exr::error::Error| Error::malformed(path, "depth map", "an EXR image", e.to_string());
     let file = super::open(path)?;
     let meta = MetaData::read_from_buffered(std::io::BufReader::new(file), false).map_err(damaged)?;
-    let [w, h] = resolution.map(|side| side as usize);
-    if let Some(other) = meta.headers.iter().map(|header| header.layer_size).find(|size| *size != Vec2(w, h)) {
-        let found = format!("{} x {} pixels", other.width(), other.height());
-        return Err(Error::malformed(path, "depth map", format!("{w} x {h} pixels"), found));
-    }
+    let in_pixels = |Vec2(w, h): Vec2<usize>| [w, h].map(|side| u32::try_from(side).unwrap_or(u32::MAX));
+    meta.headers.iter().try_for_each(|header| check(in_pixels(header.layer_size)))?;
     let channels = meta.headers.iter().flat_map(|header| &header.channels.list);
     let names: Vec<String> = channels.map(|channel| channel.name.to_string()).collect();
     let is_depth =
@@ -42,12 +39,13 @@ pub fn read_exr_depth(path: &Path, resolution: [u32; 2]) -> Result<Vec<f32>> {
         .specific_channels()
         .required(name.as_str())
         .collect_pixels(
-            |size, _| (size.width(), vec![0.0; size.area()]),
-            |(width, pixels), at, (depth,): (f32,)| pixels[at.y() * *width + at.x()] = depth,
+            |size, _| (size, vec![0.0; size.area()]),
+            |(size, pixels), at, (depth,): (f32,)| pixels[at.y() * size.width() + at.x()] = depth,
         )
         .first_valid_layer()
         .all_attributes()
         .from_file(path)
         .map_err(damaged)?;
-    Ok(image.layer_data.channel_data.pixels.1)
+    let (size, depths) = image.layer_data.channel_data.pixels;
+    Ok((in_pixels(size), depths))
 }

@@ -422,9 +422,35 @@ fn shrunk_pictures_have_the_mean_of_what_they_cover() {
         assert!((over - a / 255.0 * DVec3::new(r, g, b)).abs().max_element() <= 1.0, "{i}: {over}");
     }
     // The mean of a block that is masked in part would be of pixels that do not count.
-    let masked = Shot { mask: Some(Mask::new([4, 2], |_, _| true)), ..shot.clone() };
-    let error = masked.shrunk([2, 1]).unwrap_err().to_string();
-    assert_eq!(error, "--resolution: expected pictures without masks, which have no means, found a mask of `a`");
-    let error = shot.shrunk([3, 1]).unwrap_err().to_string();
-    assert_eq!(error, "--resolution: expected a whole fraction of the 4 x 2 pixels of `a`, found 3 x 1");
+    let masked = Shot { mask: Some(Mask::new([4, 2], |x, y| [x, y] != [3, 1])), ..shot.clone() };
+    let small = masked.shrunk([2, 1]).unwrap();
+    assert_eq!([small.keeps(0), small.keeps(1)], [true, false]);
+    for (resolution, found) in [([8, 4], "8 x 4"), ([1, 2], "1 x 2"), ([5, 2], "5 x 2")] {
+        let error = shot.clone().shrunk(resolution).unwrap_err().to_string();
+        let expected = "--resolution: expected at most the 4 x 2 pixels of `a`, and their ratio: a width alone has it";
+        assert_eq!(error, format!("{expected}, found {found}"));
+    }
+}
+
+/// Three columns become two: each is a whole pixel and half of the middle one.
+#[test]
+fn parts_of_pixels_count_by_their_area() {
+    let of = |pixels: [[u8; 4]; 3]| PosedImage::new([3, 1], pixels.to_vec()).shrunk([2, 1]);
+    let opaque = of([[30, 0, 0, 255], [90, 0, 6, 255], [0, 60, 0, 255]]);
+    let [left, right] = [0, 1].map(|i| 255.0 * opaque.over(i, DVec3::ZERO));
+    assert_eq!([left.to_array(), right.to_array()].map(|c| c.map(f64::round)), [[50.0, 0.0, 2.0], [30.0, 40.0, 2.0]]);
+    // A transparent pixel has no colour to give, whatever is stored there.
+    let clear = of([[30, 0, 0, 255], [255, 255, 255, 0], [0, 0, 0, 0]]);
+    assert!((255.0 * clear.alpha(0) - 170.0).abs() < 0.51 && clear.alpha(1) == 0.0);
+    assert!((255.0 * clear.over(0, DVec3::ZERO) - DVec3::new(20.0, 0.0, 0.0)).abs().max_element() < 0.51);
+    // One colour stays what it is at any size, and the mean of all is that of the large picture.
+    let pixels: Vec<[u8; 4]> = (0..37 * 23).map(|i| [(7 * i % 251) as u8, 9, 200, 255]).collect();
+    let large = PosedImage::new([37, 23], pixels);
+    let mean =
+        |image: &PosedImage| (0..image.len()).map(|i| image.over(i, DVec3::ZERO)).sum::<DVec3>() / image.len() as f64;
+    for size in [[36, 22], [19, 12], [10, 6], [1, 1], [37, 23]] {
+        let small = large.clone().shrunk(size);
+        let off = 255.0 * (mean(&small) - mean(&large)).abs();
+        assert!(off.x < 0.51 && off.y < 1e-9 && off.z < 1e-9 && small.resolution == size, "{size:?}: {off}");
+    }
 }

@@ -8,10 +8,11 @@ use serde::Deserialize;
 
 use crate::dataset::Hemisphere;
 use crate::dataset::{
-    Frame, FrameSplit, Part, PosedImage, ScenePoint, Selection, Views, camera_file, check_masks, read_masks,
+    Frame, FrameSplit, Part, PosedImage, ScenePoint, Selection, Views, camera_file, check_masks, has_shape, read_masks,
     scene_points, test_partner,
 };
 use crate::geometry::{Aabb, Camera, Mask, NGP_SCALE, NamedCamera};
+use crate::io::place::folder_of;
 use crate::monitor::{Monitor, check};
 use crate::{Error, Result};
 
@@ -49,37 +50,15 @@ impl Shot {
         checksum.finalize()
     }
 
-    /// The same picture with fewer pixels, each the mean of as many as it covers.
+    /// The same picture with fewer pixels, each the mean of what it covers; one that covers a masked pixel is masked.
     ///
     /// # Errors
-    /// If the picture's size is no whole multiple of `resolution`, or if it has a mask.
+    /// If the picture is smaller than `resolution`, or if its sides have another ratio.
     pub fn shrunk(self, resolution: [u32; 2]) -> Result<Self> {
-        let [[width, height], [w, h]] = [self.camera.resolution, resolution];
-        if self.mask.is_some() {
-            let found = format!("a mask of `{}`", self.name);
-            return Err(Error::setting("--resolution", "pictures without masks, which have no means", found));
-        }
-        let times = width / w.max(1);
-        if times == 0 || [w * times, h * times] != [width, height] {
-            let expected = format!("a whole fraction of the {width} x {height} pixels of `{}`", self.name);
-            return Err(Error::setting("--resolution", expected, format!("{w} x {h}")));
-        }
-        let mean = |i: u32| {
-            let (left, top) = (i % w * times, i / w * times);
-            let (mut color, mut alpha) = (DVec3::ZERO, 0.0);
-            for y in top..top + times {
-                for pixel in (left..left + times).map(|x| (y * width + x) as usize) {
-                    color += self.image.over(pixel, DVec3::ZERO);
-                    alpha += self.image.alpha(pixel);
-                }
-            }
-            let straight = if alpha > 0.0 { color / alpha } else { color };
-            let byte = |v: f64| (255.0 * v).round().clamp(0.0, 255.0) as u8;
-            let [red, green, blue] = straight.to_array().map(byte);
-            [red, green, blue, byte(alpha / f64::from(times * times))]
-        };
-        let image = PosedImage::new(resolution, (0..w * h).map(mean).collect());
-        Ok(Self { name: self.name, camera: self.camera.resized(resolution), image, mask: None })
+        check_size(&self.name, &self.camera, resolution)?;
+        let mask = self.mask.map(|mask| mask.shrunk(resolution));
+        let (camera, image) = (self.camera.resized(resolution), self.image.shrunk(resolution));
+        Ok(Self { name: self.name, camera, image, mask })
     }
 
     /// Returns true if pixel `i` is not masked.
@@ -88,6 +67,16 @@ impl Shot {
         let width = self.camera.resolution[0] as usize;
         self.mask.as_ref().is_none_or(|mask| mask.keeps((i % width) as u32, (i / width) as u32))
     }
+}
+
+/// Refuses a size to which a picture cannot be shrunk: a larger one, or one of another shape.
+fn check_size(name: &str, camera: &Camera, resolution: [u32; 2]) -> Result<()> {
+    let ([width, height], [w, h]) = (camera.resolution, resolution);
+    if w <= width && h <= height && has_shape(camera.resolution, resolution) {
+        return Ok(());
+    }
+    let expected = format!("at most the {width} x {height} pixels of `{name}`, and their ratio: a width alone has it");
+    Err(Error::setting("--resolution", expected, format!("{w} x {h}")))
 }
 
 /// A data set as described by its files: the camera file, the split of its frames, and the scene box.
@@ -102,6 +91,8 @@ pub struct DatasetFiles {
     pub missing: usize,
     /// The box that the camera file states, or else instant-ngp's.
     pub bounds: Aabb,
+    /// What a user should know of the cameras, a sentence each.
+    pub notes: Vec<String>,
 }
 
 /// Keys of instant-ngp that say where the scene lies. Its cube, of edge `aabb_scale` around ½, holds `scale` x +
@@ -138,9 +129,15 @@ impl DatasetFiles {
             let expected = "transforms.json, a COLMAP model in sparse/0, or transforms_train.json";
             return Err(Error::malformed(dataset, "data set", expected, "none of them"));
         }
-        let split = FrameSplit::new(Views::read(&path, None)?);
+        let views = Views::read(&path, None)?;
+        let (path, notes, places) = (views.path.clone(), views.notes.clone(), views.places());
+        let split = FrameSplit::new(views);
         if !split.has_images() {
-            return Err(Error::malformed(&path, "`frames`", "images that exist", "none"));
+            let folder = if path.is_dir() { &path } else { folder_of(&path) };
+            let below = |place: &PathBuf| place.strip_prefix(folder).unwrap_or(place).display().to_string();
+            let tried: Vec<String> = places.iter().map(below).collect();
+            let found = format!("none of {}", tried.join(", "));
+            return Err(Error::malformed(&path, "`frames`", "images that exist", found));
         }
         let all = &Selection::All;
         let train = split.select(Part::Training, all, |_| true)?;
@@ -150,7 +147,7 @@ impl DatasetFiles {
             None => split.matching(Part::HeldOut, all, other_than(&train))?,
         };
         let (bounds, missing) = (scene_box(&path)?, split.missing());
-        Ok(Self { path, split, train, held_out, missing, bounds })
+        Ok(Self { path, split, train, held_out, missing, bounds, notes })
     }
 
     /// Keeps the training images of a selection, taken from one half of the scene (as seen from the middle of the
@@ -197,11 +194,27 @@ impl DatasetFiles {
         Aabb::centered_cube(HALF_EDGE)
     }
 
+    /// The cameras of the images for training, then of those held out.
+    pub fn cameras(&self) -> impl Iterator<Item = &Camera> {
+        self.train.iter().chain(&self.held_out).map(|frame| &frame.camera)
+    }
+
     /// Loads the images: those for training, then those held out.
     ///
     /// # Errors
     /// If an image is damaged or its size differs from the camera's, and [`Error::Interrupted`].
     pub fn load(&self, monitor: &dyn Monitor) -> Result<[Vec<Shot>; 2]> {
+        self.load_at(|camera| camera.resolution, monitor)
+    }
+
+    /// Loads the images [shrunk](Shot::shrunk) to the size that a camera is to have.
+    ///
+    /// # Errors
+    /// As [`DatasetFiles::load`] and [`Shot::shrunk`]; sizes are checked before an image is read.
+    pub fn load_at(&self, size: impl Fn(&Camera) -> [u32; 2], monitor: &dyn Monitor) -> Result<[Vec<Shot>; 2]> {
+        for frame in self.train.iter().chain(&self.held_out) {
+            check_size(&frame.name, &frame.camera, size(&frame.camera))?;
+        }
         monitor.begin("images", (self.train.len() + self.held_out.len()) as u64);
         let load = |frames: &[Frame]| {
             let masks = read_masks(frames)?;
@@ -209,7 +222,8 @@ impl DatasetFiles {
                 check(monitor)?;
                 let image = PosedImage::read(&frame.image, frame.camera.resolution)?;
                 monitor.advance(1);
-                Ok(Shot { name: frame.name.clone(), camera: frame.camera, image, mask })
+                let shot = Shot { name: frame.name.clone(), camera: frame.camera, image, mask };
+                shot.shrunk(size(&frame.camera))
             };
             frames.iter().zip(masks).map(shot).collect::<Result<Vec<_>>>()
         };

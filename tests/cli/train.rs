@@ -270,6 +270,60 @@ fn splats_are_trained_and_the_other_verbs_read_them() {
     desk.good("uncertainty a/s.ply --cameras a/cameras.json --rays 600 --level 5 --background black -o a/s.oct");
 }
 
+/// Tanks and Temples and Deep Blending are published so.
+#[test]
+fn cameras_follow_pictures_that_are_smaller_than_they_state() {
+    let desk = Desk::new();
+    for i in 0..15 {
+        let path = desk.path(&format!("r_{i}.png"));
+        let picture = image::open(&path).unwrap().into_rgb8();
+        image::imageops::resize(&picture, 20, 20, image::imageops::FilterType::Triangle).save(&path).unwrap();
+    }
+    let note = "cameras are resized to their pictures (12 of 12): `r_0` has 20 x 20 pixels, its camera 40 x 40";
+    let [_, said] = desk.good(&format!("train . -o m.safetensors {SMALL} --steps 20"));
+    assert!(said.contains(note), "{said}");
+    let run = "uncertainty m.safetensors --level 4 --rays 2000 --occupancy 16 --background black --force";
+    let [_, said] = desk.good(&format!("{run} --cameras . -o known.oct"));
+    assert!(said.contains(note) && !said.contains("not the cameras that the model was trained on"), "{said}");
+    desk.good(&format!("{run} -o own.oct"));
+    // The same cameras, so the same rays.
+    let sigma = |name: &str| octobayes::uncertainty::UncertaintyField::read(&desk.path(name)).unwrap();
+    let [known, own] = ["known.oct", "own.oct"].map(sigma);
+    for x in [Vec3::ZERO, Vec3::new(0.3, -0.2, 0.5), Vec3::new(-0.4, 0.1, -0.3)] {
+        assert!((known.log10(x) - own.log10(x)).abs() < 1e-3, "{x}: {} {}", known.log10(x), own.log10(x));
+    }
+    std::fs::create_dir(desk.path("out")).unwrap();
+    let [_, said] = desk.good(&format!("train . -o out/s.ply {SPLATS} --steps 3"));
+    assert!(said.contains(note), "{said}");
+    let size =
+        |path: &str| octobayes::dataset::Views::read(&desk.path(path), None).unwrap().frames[0].camera.resolution;
+    assert_eq!(size("out/cameras.json"), [20, 20]);
+    // 17 does not divide 20.
+    std::fs::create_dir(desk.path("odd")).unwrap();
+    desk.good(&format!("train . -o odd/s.ply {SPLATS} --steps 3 --resolution 17"));
+    assert_eq!(size("odd/cameras.json"), [17, 17]);
+}
+
+#[test]
+fn wide_pictures_become_as_wide_as_in_the_original_code() {
+    let desk = Desk::new();
+    let cameras: Vec<(String, Camera)> = ClosedForm::half_circle(2, [1700, 10])
+        .into_iter()
+        .enumerate()
+        .map(|(i, camera)| (format!("wide_{i}"), camera))
+        .collect();
+    for (name, _) in &cameras {
+        let stripes = image::RgbImage::from_fn(1700, 10, |x, _| image::Rgb([(x % 256) as u8; 3]));
+        stripes.save(desk.path(&format!("{name}.png"))).unwrap();
+    }
+    write_transforms(&desk.path("wide.json"), &cameras).unwrap();
+    std::fs::create_dir(desk.path("out")).unwrap();
+    let [_, said] = desk.good(&format!("train wide.json -o out/s.ply {SPLATS} --steps 1"));
+    assert!(said.contains("images of 1700 x 10 are trained on at 1600 x 9"), "{said}");
+    let views = octobayes::dataset::Views::read(&desk.path("out/cameras.json"), None).unwrap();
+    assert_eq!(views.frames[0].camera.resolution, [1600, 9]);
+}
+
 #[test]
 fn splats_at_another_size_and_what_is_wrong_with_them() {
     let desk = Desk::new();
@@ -290,9 +344,10 @@ fn splats_at_another_size_and_what_is_wrong_with_them() {
         // The cameras would be split again where their images are.
         ("train . --splats -o x.ply --steps 1", "--output: expected a folder without the training images"),
         (
-            "train . --splats -o new/x.ply --steps 1 --resolution 30",
-            "--resolution: expected a whole fraction of the 40 x 40",
+            "train . --splats -o new/x.ply --steps 1 --resolution 50",
+            "--resolution: expected at most the 40 x 40 pixels of",
         ),
+        ("train . --splats -o new/x.ply --steps 1 --resolution 20x30", "a width alone has it, found 20 x 30"),
         ("train . --splats -o x.ply --steps 1 --contract l2", "--contract: expected a hash grid"),
         ("train . --splats -o x.ply --steps 1 --members 2", "--members: expected a hash grid"),
         ("train . --splats -o x.ply --steps 1 --log2-hashmap-size 12", "--log2-hashmap-size: expected a hash grid"),

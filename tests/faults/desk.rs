@@ -363,7 +363,7 @@ impl Desk {
         (0..2).for_each(|i| stripes.save(self.path(&format!("foreign_{i}.png"))).unwrap());
         save("r_0.png", 16);
         save("r_1.png", 16);
-        save("r_0_small.png", 8);
+        image::RgbaImage::new(12, 8).save(self.path("r_0_small.png")).unwrap();
         save("r_0_short.png", 16);
         let bytes = std::fs::read(self.path("r_0_short.png")).unwrap();
         self.write("r_0_short.png", &bytes[..bytes.len() / 2]);
@@ -376,6 +376,15 @@ impl Desk {
             write_transforms(&self.path(name), &named).unwrap();
         };
         cameras("opaque.json", ["o_0", "o_1"]);
+        // A photograph that a telephone has stored lying, with the orientation in its EXIF.
+        cameras("turned.json", ["turned.jpg", "o_1"]);
+        let upright = std::fs::read_to_string(self.path("turned.json")).unwrap().replace("\"h\": 16", "\"h\": 24");
+        self.write("turned.json", upright);
+        image::RgbImage::new(24, 16).save(self.path("turned.jpg")).unwrap();
+        let mut bytes = std::fs::read(self.path("turned.jpg")).unwrap();
+        let exif = b"\xff\xe1\x00\x22Exif\0\0MM\0\x2a\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0";
+        bytes.splice(2..2, *exif);
+        self.write("turned.jpg", bytes);
         cameras("twice.json", ["front/o_0", "back/o_0"]);
         cameras("same.json", ["o_0", "./o_0"]);
         let masked = std::fs::read_to_string(self.path("opaque.json")).unwrap();

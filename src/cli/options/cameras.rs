@@ -19,11 +19,12 @@ pub struct CameraFile {
     ///
     /// transforms.json has intrinsics and camera-to-world poses with OpenGL axes. A COLMAP model is the folder of
     /// cameras and images, .bin or .txt, or one above that has sparse/0. In a folder, transforms_test.json comes first.
+    /// SCENE/images_4 means the cameras of SCENE with these pictures. Cameras have the size of pictures that are there.
     #[arg(long, value_name = "PATH", help_heading = heading::INPUT)]
     pub cameras: PathBuf,
 
-    /// Image size, WxH, or W alone to keep the aspect ratio [default: from the camera file, else from its first
-    /// image, else 400x400]
+    /// Image size, WxH, or W alone to keep the aspect ratio [default: that of the pictures, else from the
+    /// camera file, else 400x400]
     #[arg(
         long,
         value_name = "SIZE",
@@ -77,6 +78,7 @@ pub struct CameraOptions {
     /// cameras and images, .bin or .txt, or one above that has sparse/0. In a folder, transforms_train.json will do.
     /// For splats of nerfstudio pass the run's dataparser_transforms.json, which moves the data set's cameras to their
     /// frame.
+    /// SCENE/images_4 means the cameras of SCENE with these pictures. Cameras have the size of pictures that are there.
     #[arg(long, value_name = "PATH", help_heading = heading::INPUT)]
     pub cameras: Option<PathBuf>,
 
@@ -91,8 +93,8 @@ pub struct CameraOptions {
     )]
     pub fov: Option<f64>,
 
-    /// Image size, WxH, or W alone to keep the aspect ratio [default: from the camera file, else from its first
-    /// image, else 400x400]
+    /// Image size, WxH, or W alone to keep the aspect ratio [default: that of the pictures, else from the
+    /// camera file, else 400x400]
     #[arg(
         long,
         value_name = "SIZE",

@@ -20,7 +20,7 @@ pub struct DepthOptions {
 
     /// For PNG: depth in scene units = OFFSET + SCALE * p, p in [0, 1] from black to white; p = 0 means unknown, p = 1
     /// this far or farther. Millimetres in 16 bits, of a scene in metres: 0,65.535. Maps in .exr (their only channel,
-    /// or the one named Z or depth) hold scene units, and 0 where depth is unknown
+    /// or the one named Z or depth) or .npy hold scene units, and 0 where depth is unknown
     #[arg(
         long,
         value_name = "OFFSET,SCALE",

@@ -19,6 +19,7 @@ use super::options::{
     count, heading, parse_background, parse_box, parse_contraction, parse_resolution, parse_time, parse_views,
 };
 use super::progress::Bars;
+use crate::error::printable;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
 use crate::geometry::{Aabb, Domain, Norm};
 use crate::monitor::Monitor;
@@ -41,8 +42,8 @@ const TEST_PIXELS: usize = 200_000;
 /// DATASET is a folder or a camera file, as `octobayes synth`, NeRF-synthetic, instant-ngp, nerfstudio and COLMAP
 /// (images and sparse/0) write them. Beside a transforms_train.json, transforms_test.json is held out for measuring.
 /// If the files do not list their training images, some are held out: every eighth of a COLMAP model, a tenth of
-/// others. `uncertainty`, `render`,
-/// `evaluate` and `info` read the model.
+/// others. SCENE/images_4 means the cameras of SCENE with these pictures. `uncertainty`, `render`, `evaluate` and
+/// `info` read the model.
 ///
 /// With --splats the model is a .ply of Gaussian splats, and cameras.json (as the original code writes it) and
 /// transforms.json are written beside it, with the cameras at the size of the images that were trained on.
@@ -71,8 +72,8 @@ pub struct Args {
     #[arg(long, help_heading = heading::TRAINING)]
     splats: bool,
 
-    /// Size of the images to train splats on: W or WxH, a whole fraction of the size of the pictures, whose pixels are
-    /// averaged [default: the pictures' own]
+    /// Size of the images to train splats on: W or WxH, at most that of the pictures, whose pixels are averaged
+    /// [default: the pictures' own; of more than 1600 columns, 1600]
     #[arg(
         long,
         value_name = "W|WxH",
@@ -216,7 +217,7 @@ impl Args {
         let mut files = DatasetFiles::read(&self.dataset)?;
         self.command_files(&files.path).input("DATASET", files.path.with_file_name("transforms_test.json")).check()?;
         files.select(&self.views.clone().unwrap_or_default(), None)?;
-        announce!("note: {}", files.describe());
+        self.announce_files(&files);
         let domain = self.domain(&files)?;
         if let Domain::Box(bounds) = domain {
             note_box(bounds, &files);
@@ -233,6 +234,11 @@ impl Args {
             models.push(self.train(member, domain, &train, &held_out, bars)?);
         }
         if self.json { say!("{}", json!({ "models": models })) } else { Ok(()) }
+    }
+
+    fn announce_files(&self, files: &DatasetFiles) {
+        files.notes.iter().for_each(|text| announce!("note: {}: {}", files.path.display(), printable(text)));
+        announce!("note: {}", files.describe());
     }
 
     fn domain(&self, files: &DatasetFiles) -> Result<Domain> {

@@ -15,7 +15,7 @@ use crate::cli::progress::Bars;
 use crate::dataset::{image_path, write_inria, write_transforms};
 use crate::geometry::{Camera, Domain};
 use crate::io::place::folder_of;
-use crate::splats::SplatRenderer;
+use crate::session::scaled;
 use crate::train::{
     Budget, DatasetFiles, Finished, Quality, Run, Shot, SplatOrigin, SplatSettings, SplatTrainer, StateFile, Training,
     box_of_points,
@@ -26,6 +26,11 @@ use crate::{Error, Result};
 const LOOK: usize = 20 * LOOK_PIXELS;
 /// Pixels of images that are compared at the end.
 const TEST: usize = 500 * LOOK_PIXELS;
+
+/// Width and pixels to which larger images are shrunk unless --resolution has another size: the original code's width,
+/// and a little less than the most pixels.
+const WIDTH: f64 = 1600.0;
+const PIXELS: f64 = 3.9e6;
 
 /// What the comment of a model that was trained here says.
 const MADE_BY: &str = " train --splats";
@@ -60,7 +65,9 @@ impl Beside {
     /// are split, and some of the training views would count as held out.
     fn check_names(&self, shots: &[Shot]) -> Result<()> {
         let folder = folder_of(&self.cameras);
-        match shots.iter().map(|shot| image_path(folder, &name_of(shot))).find(|path| path.exists()) {
+        let folders = [folder, &folder.join("images")];
+        let below = |shot: &Shot| folders.map(|folder| image_path(folder, &name_of(shot)));
+        match shots.iter().flat_map(below).find(|path| path.exists()) {
             None => Ok(()),
             Some(path) => {
                 let expected = "a folder without the training images, beside which the cameras would be split again";
@@ -112,22 +119,30 @@ impl Args {
         let partner = files.path.with_file_name("transforms_test.json");
         command_files(&files.path).input("DATASET", partner).check()?;
         files.select(&self.views.clone().unwrap_or_default(), None)?;
-        announce!("note: {}", files.describe());
+        self.announce_files(&files);
         let mut points = files.points()?;
         points.retain(|point| self.bounds.is_none_or(|bounds| bounds.contains(point.position.as_vec3())));
         let bounds = self.bounds.or_else(|| box_of_points(&points)).unwrap_or(files.bounds);
         note_box(bounds, &files);
         let domain = Domain::Box(bounds);
-        let [train, held_out] = files.load(bars)?;
+        let cameras: Vec<Camera> = files.cameras().map(|camera| camera.resized(self.size(camera))).collect();
+        SplatTrainer::check_cameras(&cameras)?;
+        let smaller = files.cameras().zip(&cameras).find(|(own, camera)| own.resolution != camera.resolution);
+        if let Some((own, camera)) = smaller.filter(|_| self.resolution.is_none()) {
+            let [[own_w, own_h], [w, h]] = [own, camera].map(|camera| camera.resolution);
+            announce!(
+                "note: images of {own_w} x {own_h} are trained on at {w} x {h}; the original code makes them as wide \
+                 (--resolution)"
+            );
+        }
+        let [train, held_out] = files.load_at(|camera| self.size(camera), bars)?;
         beside.check_names(&train)?;
-        SplatRenderer::check_cameras(held_out.iter().map(|shot| &shot.camera))?;
         if train.iter().any(|shot| shot.mask.is_some()) {
             announce!(
                 "note: the cameras beside the model have no masks; pass --cameras {} to `uncertainty`",
                 self.dataset.display()
             );
         }
-        let [train, held_out] = [self.shrunk(train)?, self.shrunk(held_out)?];
         check_framing(&train, &domain)?;
         let settings =
             SplatSettings::default().seed(self.seed).background(self.background).most(SplatSettings::most_for(&train));
@@ -177,14 +192,14 @@ impl Args {
         self.report_splats(&trainer, finished, train.len(), quality.as_ref())
     }
 
-    /// The images at the size that --resolution asks for.
-    fn shrunk(&self, shots: Vec<Shot>) -> Result<Vec<Shot>> {
-        let Some(resolution) = self.resolution else { return Ok(shots) };
-        let shrunk = |shot: Shot| {
-            let size = resolution.apply(&shot.camera).resolution;
-            shot.shrunk(size)
-        };
-        shots.into_iter().map(shrunk).collect()
+    /// The size at which the images of a camera are trained on.
+    fn size(&self, camera: &Camera) -> [u32; 2] {
+        if let Some(resolution) = self.resolution {
+            return resolution.apply(camera).resolution;
+        }
+        let [w, h] = camera.resolution.map(f64::from);
+        let scale = (WIDTH / w).min((PIXELS / (w * h)).sqrt());
+        if scale < 1.0 { scaled(camera, scale).resolution } else { camera.resolution }
     }
 
     fn state(

@@ -19,7 +19,7 @@ use super::intrinsics::{Fault, Intrinsics};
 use super::split::Lists;
 use super::transforms::{SIZES, size};
 use super::views::{Frame, ResolutionSource, Views};
-use crate::dataset::pictures::{MaskFile, image_path};
+use crate::dataset::pictures::{MaskFile, SMALLER, image_path, note_of_smaller, scene_of};
 use crate::geometry::Camera;
 use crate::{Error, Result};
 
@@ -203,7 +203,11 @@ impl ModelFiles {
             let named = FOLDERS.iter().flat_map(|folder| with_folders(path.join(folder)));
             let undistorted = UNDISTORTED.iter().flat_map(|folder| with_folders(path.join(folder)));
             let below = numbered.chain(named).chain(undistorted.map(|folder| folder.join("sparse")));
-            return below.flat_map(|folder| both(&folder)).collect();
+            let models: Vec<Self> = below.flat_map(|folder| both(&folder)).collect();
+            return match scene_of(path) {
+                Some(scene) if models.is_empty() => Self::all(scene),
+                _ => models,
+            };
         }
         let (stem, extension) = (path.file_stem().and_then(|s| s.to_str()), path.extension().and_then(|e| e.to_str()));
         let (Some("cameras" | "images"), Some(extension @ ("bin" | "txt"))) = (stem, extension) else {
@@ -232,7 +236,8 @@ impl ModelFiles {
 
     /// Reads the cameras. Images are sorted by name.
     ///
-    /// The image size is the `requested` one, else the camera's. `path` is what the user named.
+    /// The image size is the `requested` one, else the camera's. `path` is what the user named: of a folder of pictures
+    /// beside the model, these are taken.
     ///
     /// # Errors
     /// If a file cannot be read or ends early, if the lens of an image is not perspective, or if a camera or a pose
@@ -243,7 +248,10 @@ impl ModelFiles {
             return Err(Error::malformed(&self.images, "images", "at least one image", "none"));
         }
         images.sort_by(|a, b| a.name.cmp(&b.name));
-        let folder = self.picture_folder(&images);
+        let folders = self.picture_folders(path);
+        let holds = |folder: &&PathBuf| images.iter().any(|image| image_path(folder, &image.name).is_file());
+        let folder = folders.iter().find(holds).unwrap_or(&folders[0]);
+        let notes = note_of_smaller(folder).filter(|_| folders.len() > 1).into_iter().collect();
         let frame = |image: RawImage| {
             let at = |what: &str| format!("image `{}`, {what}", image.name);
             let raw = cameras.get(&image.camera).ok_or_else(|| {
@@ -259,7 +267,7 @@ impl ModelFiles {
                 Complaint::new(at("pose"), expected, found).in_file(&self.images)
             })?;
             let [w, h] = raw.size.map(|side| side as u32);
-            let file = image_path(&folder, &image.name);
+            let file = image_path(folder, &image.name);
             Ok(Frame {
                 size: [w, h],
                 mask: MaskFile::beside(&file),
@@ -268,23 +276,32 @@ impl ModelFiles {
         };
         let mut frames = images.into_iter().map(frame).collect::<Result<Vec<Frame>>>()?;
         frames.iter_mut().enumerate().for_each(|(i, frame)| frame.index = i);
-        lists_beside(&folder)?.apply(path, Path::new(""), &mut frames)?;
+        lists_beside(folder)?.apply(path, Path::new(""), &mut frames)?;
         let resolution_source = requested.map_or(ResolutionSource::File, |_| ResolutionSource::Requested);
-        Ok(Views { path: path.to_path_buf(), frames, resolution_source, notes: Vec::new() })
+        Ok(Views { path: path.to_path_buf(), frames, resolution_source, notes })
     }
 
-    /// The folder that holds the pictures: `images` beside the model or further up, or else the model's own.
-    fn picture_folder(&self, images: &[RawImage]) -> PathBuf {
+    /// The folders that may hold the pictures, best first: `images` beside the model or further up, the model's own, or
+    /// smaller copies beside any `images`. The one that `path` is, if it is none with the model.
+    fn picture_folders(&self, path: &Path) -> Vec<PathBuf> {
+        if path.is_dir() && !self.images.starts_with(path) {
+            return vec![path.to_path_buf()];
+        }
         let own = self.images.parent().unwrap_or(Path::new(""));
-        let mut candidates = vec![own.join("images")];
+        let mut beside = vec![own.to_path_buf()];
         let mut up = own.to_path_buf();
         for _ in 0..3 {
             up = if up.file_name().is_some() { up.parent().unwrap_or(Path::new("")).into() } else { up.join("..") };
-            candidates.push(up.join("images"));
+            beside.push(up.clone());
         }
-        candidates.push(own.to_path_buf());
-        let holds = |folder: &&PathBuf| images.iter().any(|image| image_path(folder, &image.name).is_file());
-        candidates.iter().find(holds).unwrap_or(&candidates[0]).clone()
+        let named = |name: &'static str| beside.iter().map(move |folder| folder.join(name));
+        let smaller = SMALLER.iter().flat_map(|name| named(name));
+        named("images").chain([own.to_path_buf()]).chain(smaller).collect()
+    }
+
+    /// Where the picture of this name is looked for.
+    pub fn places(&self, path: &Path, name: &str) -> Vec<PathBuf> {
+        self.picture_folders(path).iter().map(|folder| image_path(folder, name)).collect()
     }
 }
 

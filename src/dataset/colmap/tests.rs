@@ -146,6 +146,48 @@ fn pictures_are_found_beside_the_model_or_above_it() {
 }
 
 #[test]
+fn smaller_copies_of_the_pictures_can_be_chosen_and_are_better_than_none() {
+    let desk = tempfile::tempdir().unwrap();
+    let scene = desk.path().join("scene");
+    let cameras = cameras();
+    let [lenses, images] = as_binary(&cameras);
+    write(&scene.join("sparse/0"), "bin", [&lenses, &images]);
+    let picture = |folder: &str, [w, h]: [u32; 2]| {
+        std::fs::create_dir_all(scene.join(folder)).unwrap();
+        image::GrayImage::new(w, h).save(scene.join(folder).join("picture 1.png")).unwrap();
+    };
+    let read = |path: &Path| {
+        let views = Views::read(path, None).unwrap();
+        let Frame { image, size, camera, .. } = views.frames[1].clone();
+        assert_eq!(camera, {
+            let (_, own, _) = &cameras[1];
+            Camera { position: camera.position, axes: camera.axes, ..own.resized(size) }
+        });
+        (image.strip_prefix(&scene).unwrap().to_path_buf(), size, views.notes)
+    };
+    picture("images_4", [15, 10]);
+    picture("images_2", [31, 20]);
+    let resized = |size: &str| {
+        format!("cameras are resized to their pictures (1 of 1): `picture 1.png` has {size} pixels, its camera 61 x 40")
+    };
+    let note = "no picture is in `images`; those in `images_2` are used".to_string();
+    for path in [scene.clone(), scene.join("sparse/0")] {
+        let expected = ("images_2/picture 1.png".into(), [31, 20], vec![note.clone(), resized("31 x 20")]);
+        assert_eq!(read(&path), expected);
+    }
+    picture("images", [61, 40]);
+    assert_eq!(read(&scene), ("images/picture 1.png".into(), [61, 40], Vec::new()));
+    let chosen = scene.join("images_4");
+    assert_eq!(read(&chosen), ("images_4/picture 1.png".into(), [15, 10], vec![resized("15 x 10")]));
+    assert_eq!(read(&scene.join("images")), read(&scene));
+    // The same files, so that nothing is written over them.
+    assert_eq!(Views::files(&chosen), Views::files(&scene));
+    // Another folder is none of pictures.
+    std::fs::create_dir(scene.join("imagery")).unwrap();
+    assert!(Views::read(&scene.join("imagery"), None).is_err());
+}
+
+#[test]
 fn what_is_wrong_is_said() {
     let folder = tempfile::tempdir().unwrap();
     let [lenses, images] = as_text(&cameras()[..1]);

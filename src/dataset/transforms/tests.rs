@@ -117,6 +117,49 @@ fn pixels_refer_to_the_picture_of_their_frame_at_any_size() {
 }
 
 #[test]
+fn smaller_copies_of_the_pictures_can_be_chosen_and_are_better_than_none() {
+    let json = format!(
+        r#"{{"fl_x": 90, "cx": 52, "w": 101, "h": 67, "frames": [{{"file_path": "./images/a.png", {POSE}}},
+           {{"file_path": "images\\b.png", {POSE}}}]}}"#
+    );
+    let (desk, path) = folder(&json, &[]);
+    let picture = |folder: &str, name: &str, [w, h]: [u32; 2]| {
+        std::fs::create_dir_all(desk.path().join(folder)).unwrap();
+        image::GrayImage::new(w, h).save(desk.path().join(folder).join(name)).unwrap();
+    };
+    let read = |path: &Path| {
+        let views = Views::read(path, None).unwrap();
+        let folder = |frame: &Frame| frame.image.parent().unwrap().file_name().unwrap().to_str().unwrap().to_string();
+        (views.frames.iter().map(|frame| (folder(frame), frame.camera.resolution)).collect::<Vec<_>>(), views)
+    };
+    let at = |folder: &str, a, b| vec![(folder.to_string(), a), (folder.to_string(), b)];
+    let places = ["images/a.png", "images_2/a.png", "images_4/a.png", "images_8/a.png"];
+    let places: Vec<PathBuf> = places.iter().map(|place| desk.path().join(place)).collect();
+    let (found, views) = read(&path);
+    assert_eq!((found, views.places()), (at("images", [101, 67], [101, 67]), places));
+    picture("images_8", "a.png", [13, 8]);
+    picture("images_4", "a.png", [25, 17]);
+    let (found, views) = read(&path);
+    assert_eq!(found, at("images_4", [25, 17], [101, 67]));
+    assert!(views.notes[0].ends_with("those in `images_4` are used"), "{:?}", views.notes);
+    let camera = views.frames[0].camera;
+    assert!(
+        (camera.focal[0] - 90.0 * 25.0 / 101.0).abs() < 1e-12 && (camera.focal[1] - 90.0 * 17.0 / 67.0).abs() < 1e-12
+    );
+    assert!((camera.center[0] - 52.0 * 25.0 / 101.0).abs() < 1e-12);
+    // Pictures as large as the file states, and of two sizes.
+    picture("images", "a.png", [101, 67]);
+    picture("images", "b.png", [50, 33]);
+    let (found, views) = read(&path);
+    assert_eq!(found, at("images", [101, 67], [50, 33]));
+    assert_eq!(views.frames.iter().map(|frame| frame.size).collect::<Vec<_>>(), [[101, 67], [50, 33]]);
+    let chosen = desk.path().join("images_8");
+    let (found, views) = read(&chosen);
+    assert_eq!((found, &views.path), (at("images_8", [13, 8], [101, 67]), &path));
+    assert_eq!(Views::files(&chosen), [path]);
+}
+
+#[test]
 fn a_list_of_coefficients_bends_rays_as_single_keys_do() {
     let lens = |keys: &str| {
         let json = format!(r#"{{"fl_x": 60, "w": 100, "h": 80, {keys}, "frames": [{{{POSE}}}]}}"#);

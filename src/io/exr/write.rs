@@ -48,13 +48,15 @@ mod tests {
         };
         assert_eq!((found("depth.Z"), found("R")), (depth.clone(), vec![0.5; 6]));
         // Depth is found among others, in an image of the requested size.
-        assert_eq!(read_exr_depth(&path, [3, 2]).unwrap(), depth);
-        assert!(read_exr_depth(&path, [2, 3]).unwrap_err().to_string().contains("found 3 x 2 pixels"));
+        let read = || read_exr_depth(&path, |_| Ok(()));
+        assert_eq!(read().unwrap(), ([3, 2], depth.clone()));
+        let refused = read_exr_depth(&path, |[w, h]| Err(Error::setting("size", "another", format!("{w} x {h}"))));
+        assert!(refused.unwrap_err().to_string().contains("found 3 x 2"));
         write_exr(&path, [3, 2], vec![("any", depth.clone())]).unwrap();
-        assert_eq!(read_exr_depth(&path, [3, 2]).unwrap(), depth);
+        assert_eq!(read().unwrap().1, depth);
         write_exr(&path, [3, 2], vec![("a", depth.clone()), ("b", depth)]).unwrap();
-        assert!(read_exr_depth(&path, [3, 2]).unwrap_err().to_string().contains("found a, b"));
+        assert!(read().unwrap_err().to_string().contains("found a, b"));
         std::fs::write(&path, b"this is no image").unwrap();
-        assert!(read_exr_depth(&path, [3, 2]).unwrap_err().to_string().contains("expected an EXR image"));
+        assert!(read().unwrap_err().to_string().contains("expected an EXR image"));
     }
 }

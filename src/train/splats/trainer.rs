@@ -16,14 +16,14 @@ use super::loss::loss;
 use super::picture::Picture;
 use super::start::{SplatOrigin, Start};
 use crate::dataset::ScenePoint;
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, Camera};
 use crate::metrics::psnr;
 use crate::splats::{MAX_DEGREE, SplatRenderer, Splats};
 use crate::train::{Background, Quality, Shot, Training};
 use crate::{Error, Result};
 
 /// Most pixels of an image: every splat is drawn on all tiles that it touches, which takes memory.
-const MAX_IMAGE_PIXELS: u64 = 4_000_000;
+pub(super) const MAX_IMAGE_PIXELS: u64 = 4_000_000;
 /// Decays of Adam's moments, and what keeps its steps finite: those of the original code.
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
@@ -64,12 +64,7 @@ impl<'a> SplatTrainer<'a> {
     /// If there are no shots.
     pub fn new(settings: SplatSettings, bounds: Aabb, points: &[ScenePoint], shots: &'a [Shot]) -> Result<Self> {
         assert!(!shots.is_empty(), "no images to train on");
-        SplatRenderer::check_cameras(shots.iter().map(|shot| &shot.camera))?;
-        let largest = shots.iter().map(|shot| shot.camera.pixels()).max().unwrap_or(0);
-        if largest > MAX_IMAGE_PIXELS {
-            let expected = format!("images of at most {MAX_IMAGE_PIXELS} pixels for splats; --resolution shrinks them");
-            return Err(Error::setting("images", expected, largest.to_string()));
-        }
+        Self::check_cameras(&shots.iter().map(|shot| shot.camera).collect::<Vec<_>>())?;
         if settings.most == 0 {
             return Err(Error::setting("most splats", "at least one", "0"));
         }
@@ -78,6 +73,20 @@ impl<'a> SplatTrainer<'a> {
         let zeros = vec![[0.0; WIDTH]; rows.len()];
         let asked = vec![[0.0; 2]; rows.len()];
         Ok(Self { settings, shots, means: zeros.clone(), squares: zeros, asked, rows, extent, origin, steps: 0 })
+    }
+
+    /// Refuses cameras that splats cannot be trained on.
+    ///
+    /// # Errors
+    /// If a lens distorts, or if an image has too many pixels.
+    pub fn check_cameras(cameras: &[Camera]) -> Result<()> {
+        SplatRenderer::check_cameras(cameras)?;
+        let largest = cameras.iter().map(Camera::pixels).max().unwrap_or(0);
+        if largest <= MAX_IMAGE_PIXELS {
+            return Ok(());
+        }
+        let expected = format!("images of at most {MAX_IMAGE_PIXELS} pixels for splats; a smaller --resolution");
+        Err(Error::setting("images", expected, largest.to_string()))
     }
 
     /// Number of splats.
