@@ -1,6 +1,7 @@
 //! What the checks before a run, and its result, have to say.
 
 use crate::dataset::{ResolutionSource, Views, check_masks};
+use crate::error::counted;
 use crate::estimate::CoverageCheck;
 use crate::evaluate::Remark;
 use crate::geometry::{Camera, Mask, kept_pixels};
@@ -22,8 +23,8 @@ pub fn masks(views: &Views, masks: &[Option<Mask>], tell: &mut dyn FnMut(Remark)
         let cameras = views.cameras();
         let all: u64 = cameras.iter().map(Camera::pixels).sum();
         let left_out = 100.0 * (1.0 - kept_pixels(&cameras, masks) as f64 / all as f64);
-        let frames = cameras.len();
-        tell(Remark::Note(format!("masks of {masked} of {frames} frames leave out {left_out:.1} % of the pixels")));
+        let frames = counted(cameras.len(), "frame");
+        tell(Remark::Note(format!("masks of {masked} of {frames} leave out {left_out:.1} % of the pixels")));
     }
     Ok(())
 }
@@ -72,9 +73,13 @@ pub fn near(splats: &Splats, cameras: &[Camera], tell: &mut dyn FnMut(Remark)) {
 /// Notes what is odd about a finished field.
 pub fn field(field: &UncertaintyField, pooling: Pooling, tell: &mut dyn FnMut(Remark)) {
     if let Some(median) = field.median_rays().filter(|&median| median < MIN_RAYS_PER_VERTEX && !pooling.is_on()) {
+        let few = match median {
+            0 | 1 => "at most one ray".into(),
+            rays => format!("{rays} rays or fewer"),
+        };
         tell(Remark::Note(format!(
-            "half of the vertices that moved are supported by {median} rays or fewer; --pooling auto uses what their \
-             neighbours saw, more --rays is better"
+            "half of the vertices that moved are supported by {few}; --pooling auto uses what their neighbours saw, \
+             more --rays is better"
         )));
     }
     if let Some(tile) = field.tile().filter(|_| field.sums().is_some_and(|sums| sums.iter().all(|s| s.rays == 0))) {
