@@ -153,6 +153,12 @@ const LONGEST_OWN: usize = 2000;
 /// Longest path that systems open, bytes: longer ones are cut.
 const LONGEST_PATH: usize = 4096;
 
+/// A number of things in words, such as `1 frame` and `2 frames`.
+pub(crate) fn counted(count: usize, noun: &str) -> String {
+    let plural = if count == 1 { "" } else { "s" };
+    format!("{count} {noun}{plural}")
+}
+
 /// Makes a text that may quote an untrusted file fit for one line on a terminal.
 ///
 /// Control characters, which could clear the screen, are escaped. Texts longer than [`LONGEST`] are cut.

@@ -137,6 +137,9 @@ fn open_volume(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
         Some("safetensors") => Ok(Box::new(NerfMlp::read(path)?)),
         Some("npz") => Ok(Box::new(VoxelGrid::read(path)?)),
         _ if is_checkpoint(path) => Ok(Box::new(NerfMlp::read(path)?)),
+        Some("oct") => {
+            Err(Error::setting("MODEL", "a model; where a field is given, too, the model comes before it", model))
+        }
         _ if is_of_colmap(path) => Err(Error::setting(
             format!("model `{model}`"),
             "a radiance field; `train` makes one from the pictures, and --cameras reads these",
@@ -144,11 +147,26 @@ fn open_volume(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
         )),
         _ => Err(Error::setting(
             format!("model `{model}`"),
-            "`scene:NAME`, a `.safetensors` or `.ckpt` MLP NeRF, a `.ppng` Plenoptic PNG, an `.npz` voxel grid, or a \
-             `.ply`, `.spz` or `.splat` of splats",
+            "`scene:NAME`, a `.safetensors` hash grid or MLP NeRF, an MLP NeRF's `.ckpt`, a `.ppng` Plenoptic PNG, an \
+             `.npz` voxel grid, or a `.ply`, `.compressed.ply`, `.spz` or `.splat` of splats",
             extension.map_or("none".into(), |found| format!("`.{found}`")),
         )),
     }
+}
+
+/// Refuses a model in place of a field, such as one that was given behind it.
+///
+/// # Errors
+/// If `field` is a model by its name.
+pub fn refuse_model(field: &Path) -> Result<()> {
+    let name = field.to_string_lossy();
+    let extension = field.extension().and_then(|extension| extension.to_str());
+    let is_file = matches!(extension, Some("safetensors" | "npz" | "ppng")) || is_checkpoint(field);
+    if is_file || name.starts_with("scene:") || Splats::is_splat_file(field) {
+        let expected = "a field, `.oct`; where a model is given, too, the model comes before it";
+        return Err(Error::setting("FIELD", expected, name));
+    }
+    Ok(())
 }
 
 /// True for a model whose scene coordinates are a choice: a Plenoptic PNG.

@@ -189,14 +189,15 @@ def _domain_options(box: Any, contract: Any) -> dict[str, Any]:
 def _grid_options(given: SimpleNamespace) -> dict[str, Any]:
     """Options that say how information becomes a field."""
     return {
-        "level": whole("level", given.level, 1, 16),
+        "for_": given.for_,
+        "level": None if given.level is None else whole("level", given.level, 1, 16),
         "refine": names("refine", given.refine),
         "grid": given.grid,
         "covariance": given.covariance,
         "lambda_": None if given.lambda_ is None else real("lambda_", given.lambda_, above=0),
         "tolerance": real("tolerance", given.tolerance, low=0),
         "pooling": given.pooling,
-        "keep_sums": flag("keep_sums", given.keep_sums),
+        "keep_sums": None if given.keep_sums is None else flag("keep_sums", given.keep_sums),
         "scale": given.scale,
         "noise": None if given.noise is None else real("noise", given.noise, above=0),
     }
@@ -230,21 +231,22 @@ def uncertainty(
     nerf: Nerf,
     cameras: Any = None,
     *,
+    for_: str | None = None,
     box: Any = None,
-    level: int = DEFAULT.level,
+    level: int | None = None,
     rays: int | str = DEFAULT.rays,
     target_error: float | None = None,
     seed: int = DEFAULT.seed,
     gradient: str = DEFAULT.gradient,
-    covariance: str = DEFAULT.covariance,
-    keep_sums: bool = False,
+    covariance: str | None = None,
+    keep_sums: bool | None = None,
     contract: Any = None,
     memory: int | None = None,
     refine: str | Sequence[str] = DEFAULT.refine,
     grid: str = DEFAULT.grid,
     lambda_: float | None = None,
     tolerance: float = DEFAULT.tolerance,
-    scale: str = DEFAULT.scale,
+    scale: str | None = None,
     noise: float | None = None,
     pooling: str = DEFAULT.pooling,
     step: float | None = None,
@@ -292,6 +294,9 @@ def uncertainty(
 
     box: (low, high), corners in scene units; for a callable also where its density is zero outside. contract (norm, x,
     y, z, radius), norm 'l2' or 'linf', covers all of space instead, contracted outside this ball.
+
+    for_: what the field is for: 'ranking' (of pixels by their error of depth), 'depth' (its error bars), 'next-view' or
+    'splats'. Sets level, covariance, scale and keep_sums as that needs, unless they are given, and logs what it set.
 
     Other arguments have the command line's names, meanings and defaults (``octobayes uncertainty --help``): rays
     ('all': every training pixel once); target_error (decades: draw rays until the mean error of log10 U is within it,
@@ -346,7 +351,7 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
     domain = _domain_options(given.box, given.contract)
     if isinstance(nerf, Splats):
         _refuse_for_splats(
-            gradient=(given.gradient, DEFAULT.gradient),
+            gradient=("" if given.gradient == "auto" else given.gradient, ""),
             step=(given.step, None),
             cutoff=(given.cutoff, DEFAULT.cutoff),
             audit=(given.audit, False),
@@ -406,7 +411,7 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
         task = _shards.Task(nerf, gate, cameras.rows, options)
         with reporting(given.progress) as report:
             field, said = _shards.run(task, executor, shards, report)
-        return field if given.keep_sums else field.for_queries(), said, ""
+        return field if _octobayes.keeps_sums(options) else field.for_queries(), said, ""
     asked = _asked(nerf, domain["box"], given.march_step, given.batch)
     with reporting(given.progress) as report:
         field, said, needs = _octobayes.uncertainty(asked, cameras.rows, options, report)
@@ -478,19 +483,20 @@ def merge(fields: Sequence[Uncertainty | str], *, error_bars: bool = False, keep
 def accumulate(
     samples: str | os.PathLike[str] | Mapping[str, Any],
     *,
+    for_: str | None = None,
     box: Any = None,
-    level: int = DEFAULT.level,
+    level: int | None = None,
     contract: Any = None,
     refine: str | Sequence[str] = DEFAULT.refine,
     grid: str = DEFAULT.grid,
-    covariance: str = DEFAULT.covariance,
+    covariance: str | None = None,
     lambda_: float | None = None,
     tolerance: float = DEFAULT.tolerance,
-    scale: str = DEFAULT.scale,
+    scale: str | None = None,
     noise: float | None = None,
     training_pixels: int | None = None,
     pooling: str = DEFAULT.pooling,
-    keep_sums: bool = False,
+    keep_sums: bool | None = None,
     progress: Progress | bool | None = None,
 ) -> Uncertainty:
     """Sums ray samples whose Jacobians were computed elsewhere.

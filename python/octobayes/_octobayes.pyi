@@ -20,6 +20,9 @@ __version__: str
 def defaults() -> str:
     """JSON: the library's defaults by the names of arguments."""
 
+def keeps_sums(options: dict[str, Any]) -> bool:
+    """Whether a run with these options keeps its sums."""
+
 class Model:
     """A radiance field in Rust."""
 

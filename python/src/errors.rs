@@ -22,7 +22,7 @@ pub fn said(remark: Remark) -> Said {
 }
 
 /// Values of options that are words.
-const WORDS: [&str; 6] = ["auto", "data", "dense", "density", "paper", "ray-count"];
+const WORDS: [&str; 7] = ["auto", "block", "data", "dense", "density", "paper", "ray-count"];
 
 /// The command line's options in a text as arguments: `--rays 4` is `rays=4`, `--scale data` is `scale='data'`,
 /// `--box` alone is `box=`, and without the sign where it is what an error is about.
@@ -38,10 +38,11 @@ fn in_arguments(text: &str) -> String {
             (out, rest) = (out + "--", flag);
             continue;
         }
-        let name = if name == "lambda" { "lambda_".into() } else { name.replace('-', "_") };
+        // Keywords of Python have an underscore behind them.
+        let name = if ["lambda", "for"].contains(&name) { format!("{name}_") } else { name.replace('-', "_") };
         let word = after.strip_prefix(' ').and_then(|after| after.split(|c| !is_name(c)).next()).unwrap_or_default();
         let is_number = !word.is_empty() && word.bytes().all(|byte| byte.is_ascii_digit());
-        let is_value = is_number || WORDS.contains(&word);
+        let is_value = is_number || WORDS.contains(&word) || (name == "for_" && !word.is_empty());
         let end = match (is_value, is_number) {
             (true, true) => format!("={word}"),
             (true, false) => format!("='{word}'"),

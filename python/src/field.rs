@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use octobayes::geometry::Domain;
+use octobayes::open::refuse_model;
 use octobayes::posterior::Covariance;
 use octobayes::session::{Finished, Threshold, described};
 use octobayes::uncertainty::{Observability, OfficialGrid, UncertaintyField};
@@ -74,7 +75,7 @@ pub fn load(py: Python<'_>, path: PathBuf, options: &Bound<'_, PyDict>, rays: Op
             let rays = rays.unwrap_or(OfficialGrid::DEFAULT_RAYS);
             OfficialGrid { domain, rays, lambda: None }.read(&path)
         }
-        None => UncertaintyField::read(&path),
+        None => refuse_model(&path).and_then(|()| UncertaintyField::read(&path)),
     };
     without_python(py, read)?.or_raise().map(Uncertainty::from)
 }

@@ -6,7 +6,7 @@ use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use octobayes::glam::Vec3;
 use octobayes::rays::{Gathered, MissingShards, SamplesReader};
 use octobayes::render::{RaySample, RaySamples};
-use octobayes::session::{Accumulation, ScaleKind, TrainingPixels, check_fields};
+use octobayes::session::{Accumulation, TrainingPixels, check_fields};
 use octobayes::uncertainty::{self, UncertaintyField};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -81,11 +81,12 @@ pub fn accumulate(
     let reader = path.map(|path| SamplesReader::open(&path)).transpose().or_raise()?;
     let stated = reader.as_ref().and_then(SamplesReader::training_pixels);
     let training = TrainingPixels { pixels: options.get("training_pixels")?.or(stated), noise: None };
-    let scale = options.choice::<ScaleKind>("scale")?.unwrap_or_default();
-    let scale = scale.over(&domain, options.get("noise")?, training).or_raise()?;
-    let mut accumulation = Accumulation::new(options.grid()?.scale(scale), domain).or_raise()?;
     let mut texts = Vec::new();
     let mut tell = |remark| texts.push(said(remark));
+    let choices = options.choices()?;
+    let grid = choices.settle(options.grid()?, None, &mut tell).or_raise()?;
+    let scale = choices.scale().over(&domain, choices.noise, training).or_raise()?;
+    let mut accumulation = Accumulation::new(grid.scale(scale), domain).or_raise()?;
     let finished = if let Some(reader) = reader {
         work(py, None, progress, |engine| accumulation.read(&reader, engine.monitor(), &mut tell).map(computed))?
     } else {

@@ -28,6 +28,7 @@ fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<model::Model>()?;
     module.add_class::<splats::Splats>()?;
     module.add_function(wrap_pyfunction!(options::defaults, module)?)?;
+    module.add_function(wrap_pyfunction!(options::keeps_sums, module)?)?;
     module.add_function(wrap_pyfunction!(run::uncertainty, module)?)?;
     module.add_function(wrap_pyfunction!(run::read_cameras, module)?)?;
     module.add_function(wrap_pyfunction!(field::load, module)?)?;

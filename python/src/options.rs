@@ -12,7 +12,7 @@ use octobayes::octree::Tile;
 use octobayes::posterior::{Covariance, Criterion};
 use octobayes::rays::Pixels;
 use octobayes::render::RayAverage;
-use octobayes::session::{Resolution, ScaleKind};
+use octobayes::session::{Choices, Resolution};
 use octobayes::uncertainty::{Comparison, OfficialGrid};
 use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::PyValueError;
@@ -75,21 +75,30 @@ impl<'py> Options<'_, 'py> {
             .occupancy(self.or("occupancy", others.occupancy)?))
     }
 
-    /// The settings of the grid.
+    /// The settings of the grid, but for those that [`Options::choices`] decide on.
     pub fn grid(&self) -> PyResult<GridSettings> {
         let default = GridSettings::default();
         let criteria = self.choices::<Criterion>("refine")?;
         Ok(default
             .grid(self.choice("grid")?.unwrap_or(default.grid))
-            .level(self.or("level", default.level)?)
-            .covariance(self.covariance()?.unwrap_or(default.covariance))
             .lambda(self.get("lambda_")?)
             .tolerance(self.or("tolerance", default.tolerance)?)
             .pooling(self.choice("pooling")?.unwrap_or(default.pooling))
             .criteria(criteria.map_or(default.criteria, FromIterator::from_iter))
             .memory(self.get("memory")?)
-            .tile(self.tile()?)
-            .keep_sums(self.or("keep_sums", false)?))
+            .tile(self.tile()?))
+    }
+
+    /// What the purpose or the model decides on, where it is not given.
+    pub fn choices(&self) -> PyResult<Choices> {
+        Ok(Choices {
+            purpose: self.choice("for_")?,
+            level: self.get("level")?,
+            covariance: self.covariance()?,
+            scale: self.choice("scale")?,
+            noise: self.get("noise")?,
+            keep_sums: self.get("keep_sums")?,
+        })
     }
 
     /// The part of space, if not all of it.
@@ -182,13 +191,11 @@ pub fn defaults() -> String {
         "gradient": rays.gradient,
         "cutoff": rays.cutoff,
         "occupancy": rays.occupancy,
-        "level": grid.level,
         "grid": grid.grid,
         "refine": grid.criteria.to_string(),
         "covariance": grid.covariance,
         "tolerance": grid.tolerance,
         "pooling": grid.pooling,
-        "scale": ScaleKind::default(),
         "official_rays": OfficialGrid::DEFAULT_RAYS,
         "ray_average": RayAverage::default(),
         "depth_pattern": DepthFiles::PATTERN,
@@ -203,6 +210,12 @@ pub fn defaults() -> String {
         "view_pixels": views.pixels,
     })
     .to_string()
+}
+
+/// Whether a run with these options keeps its sums.
+#[pyfunction]
+pub fn keeps_sums(options: &Bound<'_, PyDict>) -> PyResult<bool> {
+    Ok(Options(options).choices()?.keeps_sums())
 }
 
 /// Numbers of a camera: pose (row by row), focal lengths, principal point, image size, k1, k2, k3, k4, p1, p2.

@@ -50,6 +50,8 @@ def test_an_angle_and_a_focal_length_may_agree(courtyard, cameras):
             "error_bars: expected None with shard, which is one group of rays, found 4",
         ),
         ({"shard": (0.5, 2)}, r"shard: expected 'I/N' or .* found \(0.5, 2\)"),
+        ({"for_": "depths"}, "for_: expected 'ranking', 'depth', .* found 'depths'"),
+        ({"for_": "splats"}, "for_='splats': expected Gaussian splats, found another model"),
         ({"level": True}, "level: expected a whole number, 1 to 16, found True"),
         ({"seed": -1}, "seed: expected a whole number, 0 to"),
         ({"box": ([1, 1, 1], [-1, -1, -1])}, "box: expected a lower and an upper corner, found"),

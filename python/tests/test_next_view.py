@@ -43,6 +43,19 @@ def known(courtyard, front) -> ob.Uncertainty:
         return ob.uncertainty(courtyard, front, progress=False, **RUN)
 
 
+def test_a_purpose_sets_what_was_not_given(courtyard, front, caplog):
+    small = {"rays": 4096, "occupancy": 32, "progress": False}
+    with caplog.at_level("INFO", logger="octobayes"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        paper = ob.uncertainty(courtyard, front, level=4, **small)
+        made = ob.uncertainty(courtyard, front, for_="next-view", level=4, noise=0.05, **small)
+    assert any("for_='next-view' sets scale='data', keep_sums=" in text for text in caplog.messages)
+    poses = around(np.linspace(0, 2 * np.pi, 4, endpoint=False))
+    assert ob.next_view(courtyard, made, poses, take=1, cameras=front, **QUIET)["steps"]
+    with pytest.raises(ValueError, match="for_='next-view'"):
+        ob.next_view(courtyard, paper, poses, take=1, cameras=front, **QUIET)
+
+
 def test_poses_go_in_and_the_chosen_ones_come_out(courtyard, front, known):
     poses = around(np.linspace(0, 2 * np.pi, 8, endpoint=False))
     found = ob.next_view(courtyard, known, poses, take=3, cameras=front, map=True, **QUIET)

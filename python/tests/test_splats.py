@@ -99,6 +99,14 @@ def test_a_run_is_that_of_the_command_line(splats, path, field, tmp_path):
     assert ob.uncertainty(path, file, **RUN).record["model_checksum"] == other.record["model_checksum"]
 
 
+def test_splats_have_a_level_of_their_own_and_their_own_derivatives(splats):
+    small = {"rays": 2000, "progress": False}
+    assert ob.uncertainty(splats, CAMERAS, **small).finest_level == 6
+    assert ob.uncertainty(splats, CAMERAS, gradient="auto", level=4, **small).finest_level == 4
+    with pytest.raises(ValueError, match="gradient: expected the default"):
+        ob.uncertainty(splats, CAMERAS, gradient="analytic", **small)
+
+
 def test_pictures_show_splats_and_what_is_left_of_them(splats, field):
     view = ob.render(splats, field, CAMERAS[1], depth_error=True, progress=False)
     shown = view["opacity"] > 0.9

@@ -87,7 +87,7 @@ pub struct Args {
         long,
         value_name = "N",
         default_value_t = MeshSettings::default().resolution,
-        value_parser = clap::value_parser!(u32).range(8..=640),
+        value_parser = count::<u32>(8..=640),
         requires = "mesh",
         help_heading = heading::OUTPUT,
         hide_short_help = true,

@@ -94,9 +94,9 @@ impl Args {
             say!("{value}")?;
             return Ok(());
         }
-        say!("{}\n{}", path.display(), report::record(&field))?;
+        say!("{}\n{}record\n{}", path.display(), report::surfaces(&field)?, report::record(&field))?;
         say!("{}", report::errors(&ErrorBudget::of_field(&field)))?;
-        say!("field\n  {}{}", report::summary(&field.summary()), report::surfaces(&field)?)?;
+        say!("field\n  {}", report::summary(&field.summary()))?;
         say!("  {}", histogram(&field))?;
         say!("  prior U {:.4e} (log10 {:.4})", field.prior(), field.prior().log10())?;
         say!("answers")?;
@@ -151,7 +151,13 @@ impl Args {
 
     fn model(&self) -> Result<()> {
         let refused = || Error::setting("FILE", UTF_8, self.file.display().to_string());
-        let field = crate::open::open(self.file.to_str().ok_or_else(refused)?)?;
+        let opened = crate::open::open(self.file.to_str().ok_or_else(refused)?);
+        let field = opened.map_err(|error| match error {
+            Error::Setting { what, expected, found } if what.starts_with("model") => {
+                Error::Setting { what, expected: format!("a field (`.oct`), or a model: {expected}"), found }
+            }
+            other => other,
+        })?;
         let bounds = field.bounds();
         let cameras = field.training_cameras();
         if self.json {
@@ -171,6 +177,9 @@ impl Args {
             if let Some((first, last)) = cameras.first().zip(cameras.last()) {
                 let [first, last] = [first, last].map(|camera| printable(&camera.name));
                 say!("  cameras      {} that it was trained on, {first} to {last}", cameras.len())?;
+            }
+            if let Some(noise) = field.training_noise() {
+                say!("  noise        {noise:.4}, the error of colours that training left, for --scale data")?;
             }
             say!("  march step   {:.6} scene units", field.suggested_step())?;
             say!("  pixel offset {}", field.pixel_offset())?;

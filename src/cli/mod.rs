@@ -60,7 +60,7 @@ struct Cli {
         long,
         global = true,
         value_name = "N",
-        value_parser = clap::value_parser!(u16).range(1..=MAX_THREADS),
+        value_parser = options::count::<u16>(1..=MAX_THREADS),
         help_heading = options::heading::GLOBAL,
     )]
     threads: Option<u16>,
@@ -71,7 +71,7 @@ struct Cli {
 }
 
 /// Most threads. Each has buffers of its own.
-const MAX_THREADS: i64 = 1024;
+const MAX_THREADS: u64 = 1024;
 
 #[derive(Subcommand)]
 enum Verb {

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, FrameOptions, ModelArgument, heading};
+use super::options::{CameraOptions, FrameOptions, ModelArgument, count, heading};
 use super::progress::Bars;
 use super::streams::tell;
 use crate::dataset::{Part, Views, camera_file, write_transforms};
@@ -21,7 +21,7 @@ use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// Most candidates and views.
-const MAX_COUNT: i64 = 100_000;
+const MAX_COUNT: u64 = 100_000;
 
 /// Rank cameras by what their images, not yet taken, would tell
 ///
@@ -31,7 +31,7 @@ const MAX_COUNT: i64 = 100_000;
 /// needed.
 ///
 /// Only matter is displaced: space behind opaque matter, where the model shows nothing, attracts no view, though no ray
-/// was there. FIELD needs `uncertainty --scale data --keep-sums`.
+/// was there. FIELD is one of `uncertainty --for next-view`.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  \
     octobayes next-view lego.safetensors lego.oct --candidates transforms_test.json --take 10 -o ranking.json\n  \
@@ -40,7 +40,7 @@ pub struct Args {
     #[command(flatten)]
     model: ModelArgument,
 
-    /// The field of its uncertainty, of `--scale data --keep-sums`
+    /// The field of its uncertainty, of `uncertainty --for next-view` (or --scale data --keep-sums)
     #[arg(value_name = "FIELD.oct")]
     field: PathBuf,
 
@@ -59,7 +59,7 @@ pub struct Args {
     #[arg(
         long,
         value_name = "N",
-        value_parser = clap::value_parser!(u32).range(1..=MAX_COUNT),
+        value_parser = count::<u32>(1..=MAX_COUNT),
         conflicts_with = "candidates",
         help_heading = heading::INPUT,
     )]
@@ -73,7 +73,7 @@ pub struct Args {
     #[arg(
         long,
         value_name = "N",
-        value_parser = clap::value_parser!(u32).range(1..=MAX_COUNT),
+        value_parser = count::<u32>(1..=MAX_COUNT),
         conflicts_with_all = ["candidates", "sphere"],
         help_heading = heading::INPUT,
     )]
@@ -87,7 +87,7 @@ pub struct Args {
         long,
         value_name = "N",
         default_value_t = 1,
-        value_parser = clap::value_parser!(u32).range(1..=MAX_COUNT),
+        value_parser = count::<u32>(1..=MAX_COUNT),
         help_heading = heading::STATISTICS,
     )]
     take: u32,
@@ -101,7 +101,7 @@ pub struct Args {
         long,
         value_name = "N",
         default_value_t = 4096,
-        value_parser = super::options::count::<u64>(1..=100_000_000),
+        value_parser = count::<u64>(1..=100_000_000),
         help_heading = heading::RAYS,
     )]
     pixels: u64,

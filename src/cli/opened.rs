@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::open::refuse_model;
 use crate::session::memory::available;
 use crate::uncertainty::{Answers, BakedField, TiledField, UncertaintyField};
 use crate::{Error, Result};
@@ -21,6 +22,7 @@ impl OpenedField {
     /// Reads a field, or opens a folder of tiles, which may take half of the memory that is free. Refuses a tile, which
     /// covers only a part of space.
     pub fn open(path: &Path) -> Result<Self> {
+        refuse_model(path)?;
         if path.is_dir() {
             let room = available().unwrap_or(DEFAULT_ROOM) / 2;
             return Ok(Self::Tiles(Box::new(TiledField::open(path, room as usize)?)));

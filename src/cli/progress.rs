@@ -78,11 +78,10 @@ impl Monitor for Bars {
             lines.begin(stage, total, Instant::now());
             return;
         }
-        // Before any progress, the remaining time is unknown.
         let left = |state: &ProgressState, out: &mut dyn std::fmt::Write| {
-            let _ = match state.pos() {
-                0 => Ok(()),
-                _ => write!(out, "{:#} left", HumanDuration(state.eta())),
+            let _ = match lines::left(f64::from(state.fraction()), state.elapsed()) {
+                None => Ok(()),
+                Some(left) => write!(out, "{:#} left", HumanDuration(left)),
             };
         };
         let style =

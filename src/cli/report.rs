@@ -99,7 +99,7 @@ pub fn summary(s: &Summary) -> String {
     )
 }
 
-/// Percentiles of log10 U over visible surfaces, by which thresholds are chosen; empty if there are no such points.
+/// Percentiles of log10 U over visible surfaces, by which thresholds are chosen, as a line; empty without such points.
 pub fn surfaces(field: &dyn Answers) -> Result<String> {
     let Some(log10) = field.surface_quantiles(PERCENTS.map(|percent| 0.01 * percent))? else {
         return Ok(String::new());
@@ -107,7 +107,7 @@ pub fn surfaces(field: &dyn Answers) -> Result<String> {
     let listed: Vec<String> = PERCENTS.iter().zip(log10).map(|(p, log10)| format!("{log10:.2} ({p}%)")).collect();
     let quantity = field.record().scale.quantity();
     let prior = field.record().reading().prior().log10();
-    Ok(format!("\n  {quantity} on visible surfaces: {}; prior {prior:.2}", listed.join(", ")))
+    Ok(format!("{quantity} on visible surfaces: {}; prior {prior:.2}\n", listed.join(", ")))
 }
 
 /// Table of |Δ log10 U|.
@@ -216,7 +216,7 @@ pub fn errors(budget: &ErrorBudget) -> String {
         let [own, least] = [here.in_log10(), best.in_log10()];
         line(
             "difference step",
-            &format!("{own:>8.1e}           step {}; {least:.1e} with {:.1e}", check.step, best.step),
+            &format!("{own:>8.1e}           with {} cells; {least:.1e} with {:.1e} cells", check.step, best.step),
         );
     }
     out.trim_end().to_string()
@@ -228,9 +228,10 @@ pub fn finished(finished: &Finished, as_json: bool) -> Result<()> {
         return say!("{}", finished.report());
     }
     let Finished { field, errors: budget, sums_bytes, elapsed, .. } = finished;
-    say!("record\n{}\n  threads      {}", record(field), rayon::current_num_threads())?;
-    say!("field\n  {}{}", summary(&field.summary()), surfaces(field)?)?;
+    // What is read first stands first: the record is for those who come back.
+    say!("{}field\n  {}", surfaces(field)?, summary(&field.summary()))?;
     let peak = peak().map_or(String::new(), |peak| format!(", {} the peak of the process", bytes(peak as usize)));
     say!("  {} while summing{peak}, {:.1} s", bytes(*sums_bytes), elapsed.as_secs_f64())?;
-    say!("{}", errors(budget))
+    say!("{}", errors(budget))?;
+    say!("record\n{}\n  threads      {}", record(field), rayon::current_num_threads())
 }

@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, ModelArgument, heading, parse_range};
+use super::options::{CameraOptions, ModelArgument, count, heading, parse_range};
 use super::progress::Bars;
 use super::render::bar_of;
 use super::report;
@@ -64,7 +64,7 @@ pub struct Args {
     #[arg(
         long,
         value_name = "N",
-        value_parser = clap::value_parser!(u32).range(32..=1024),
+        value_parser = count::<u32>(32..=1024),
         help_heading = heading::OUTPUT,
     )]
     cells: Option<u32>,

@@ -14,7 +14,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use super::views::{Frame, Purpose, Views};
-use crate::error::printable;
+use crate::error::{counted, printable};
 use crate::{Error, Result};
 
 /// Frames that are named, of those without an image or held out.
@@ -316,8 +316,8 @@ impl FrameSplit {
             others.push(format!("{rest} not chosen; used are {}", numbers(used)));
         }
         let others = if others.is_empty() { String::new() } else { format!(": {}", others.join(", ")) };
-        let cameras = if used.len() == 1 { "camera" } else { "cameras" };
-        format!("{} {cameras} of {} frames of {}{others}", used.len(), self.total, self.path.display())
+        let (cameras, frames) = (counted(used.len(), "camera"), counted(self.total, "frame"));
+        format!("{cameras} of {frames} of {}{others}", self.path.display())
     }
 }
 

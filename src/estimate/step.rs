@@ -1,5 +1,7 @@
 //! Checks whether the finite-difference step is suitable for the field.
 
+use std::f64::consts::LOG10_E;
+
 use glam::Vec3;
 
 use super::rays::shortest_step;
@@ -62,22 +64,25 @@ impl StepCheck {
     #[must_use]
     pub fn warning(&self) -> Option<String> {
         let (here, best) = (self.errors.at(self.step), self.errors.best());
-        // Errors relative to the derivative itself: beyond it, their size means nothing.
-        let percent = |v: f64| if v <= 1.0 { format!("{:.2} %", 100.0 * v) } else { "more than 100 %".into() };
+        // Errors as large as the derivative itself: beyond, their size means nothing.
+        let decades = |relative: f64| match relative * LOG10_E {
+            decades if relative <= 1.0 => format!("{decades:.2}"),
+            _ => "more than 0.43".into(),
+        };
         let exact = match self.knows_derivatives {
-            true => "; --gradient auto uses the field's own derivatives, which are exact",
+            true => "; --gradient auto uses the model's own derivatives, which are exact",
             false => "",
         };
         self.is_bad.then(|| {
             format!(
-                "differences of the density over {} edges of the finest lattice are off by {} (rounding and noise {}, \
-                 truncation {}); central ones over {:.2e} edges would be by {}{exact}",
+                "finite differences over {} edges of the finest lattice put log10 U off by about {} decades (rounding \
+                 and noise {}, truncation {}), central ones over {:.2e} edges by {}{exact}",
                 self.step,
-                percent(here.total()),
-                percent(here.noise),
-                percent(here.truncation),
+                decades(here.total()),
+                decades(here.noise),
+                decades(here.truncation),
                 best.step,
-                percent(best.total())
+                decades(best.total())
             )
         })
     }
@@ -233,6 +238,10 @@ mod tests {
         // The black box gets much the same answer.
         let blind = check(&BlackBox, SEED);
         assert!(blind.is_bad && !blind.knows_derivatives, "{blind:?}");
+        // The size is that of log10 U, and the way out an option, if there is one.
+        let [told, blind_told] = [&told, &blind].map(|check| check.warning().unwrap());
+        assert!(told.contains(" decades (") && told.contains("--gradient auto") && !told.contains('%'), "{told}");
+        assert!(blind_told.contains(" decades (") && !blind_told.contains("--gradient"), "{blind_told}");
         let proposed = error(blind.errors.best().step);
         assert!(proposed < 0.5 * before, "{proposed} instead of {before}");
     }

@@ -78,6 +78,8 @@ pub struct Prepared<'a> {
     frames: Vec<Frame>,
     /// The cameras that the model was trained on, if they are known.
     training: Vec<NamedCamera>,
+    /// How many of the frames belong to them.
+    trained_on: usize,
     /// The true depth of the frames; `None` if depth is not judged.
     pub depth: Option<FramesWithDepth>,
     /// The true depth of the training frames.
@@ -166,7 +168,7 @@ impl<'a> Evaluation<'a> {
         let maps = |folder: &PathBuf| self.training_maps(folder, &training);
         let training_depth = self.training_depth.as_ref().map(maps).transpose()?;
         let used = split.describe(Part::HeldOut, &frames);
-        Ok(Prepared { evaluation: self, frames, training, depth, training_depth, used, remarks })
+        Ok(Prepared { evaluation: self, frames, training, trained_on: known, depth, training_depth, used, remarks })
     }
 
     /// The frames that the model was trained on, with their depth maps.
@@ -229,6 +231,11 @@ fn shared(a: &Aabb, b: &Aabb) -> f64 {
     both / (volume(a.size()) + volume(b.size()) - both)
 }
 
+/// Whether half of the depths are so far off that they are probably misread.
+fn are_far_off(error: &DepthError, model: Subject) -> bool {
+    error.median > 0.1 * size_of(model)
+}
+
 impl Prepared<'_> {
     /// The frames that are judged.
     #[must_use]
@@ -271,9 +278,11 @@ impl Prepared<'_> {
         if let Some(found) = &self.depth {
             report.depth = Some(found.source.to_string_lossy().into());
             report.depth_readings = Some(looked.counts);
-            report.depth_error = Some(looked.error_of_depth(found, *model, tell)?);
+            let error = looked.error_of_depth(found, *model, tell)?;
+            report.depth_error = Some(error);
             let few = || looked.too_few(found, &format!("at least {STEPS} pixels with depth and some error"));
             report.rank(&evaluator, views).ok_or_else(few)?;
+            report.verdict = report.verdict(&evaluator, views, self.trained_on, are_far_off(&error, *model));
         }
         if let (Some(probability), Some(found)) = (self.evaluation.calibrate, &self.depth) {
             let few = || looked.too_few(found, &format!("more pixels of known depth, to hold {probability}"));
@@ -388,7 +397,7 @@ impl Looked {
             };
             tell(Remark::Note(format!("{found}; if the maps hold {kind} ({flag}), by more than {other:.4}")));
         }
-        if error.median > 0.1 * size {
+        if are_far_off(&error, model) {
             tell(Remark::Warning(format!("{found}, and the model is {size:.4} across; {CAUSES}")));
         }
         Ok(error)

@@ -19,6 +19,7 @@ mod training_cameras;
 mod training_images;
 mod training_views;
 mod truth;
+mod verdict;
 mod view;
 
 pub use clean_up::{CleanUp, SCALE, THRESHOLDS, clean_up};

@@ -14,6 +14,9 @@ use crate::uncertainty::Conformal;
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct Report {
+    /// What the figures come to, in sentences: whether U ranks the errors, and whether intervals are right. Empty if
+    /// depth was not judged.
+    pub verdict: Vec<String>,
     /// Name of the model.
     pub model: String,
     /// The camera file.
@@ -141,6 +144,7 @@ impl Report {
         let pixels = views.iter().map(|view| view.pixels.len()).sum();
         let view = |v: &EvaluatedView| ViewReport { name: v.name.clone(), psnr: v.psnr, pixels: v.pixels.len() };
         Self {
+            verdict: Vec::new(),
             model: of.name.clone(),
             cameras: of.cameras.to_string_lossy().into(),
             depth: None,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::identity::unchanged;
 use crate::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
-use crate::error::printable;
+use crate::error::{counted, printable};
 use crate::evaluate::Remark;
 use crate::field::{Intrinsics, RadianceField, known_cameras};
 use crate::geometry::Camera;
@@ -157,8 +157,9 @@ impl CameraSource {
         let whose = if stored.is_empty() { "the model's own" } else { "stored in the model" };
         let ([w, h], n) = (views.frames[0].camera.resolution, views.frames.len());
         let fov = self.fov.map_or(String::new(), |fov| format!(", {fov} degrees"));
-        let source = format!("its own {n} cameras of {w} x {h}{fov}");
-        Ok(TrainingCameras { views, used: format!("{n} cameras ({whose})"), source })
+        let cameras = counted(n, "camera");
+        let source = format!("its own {cameras} of {w} x {h}{fov}");
+        Ok(TrainingCameras { views, used: format!("{cameras} ({whose})"), source })
     }
 }
 

@@ -1,6 +1,7 @@
 //! What the checks before a run, and its result, have to say.
 
 use crate::dataset::{ResolutionSource, Views, check_masks};
+use crate::error::counted;
 use crate::estimate::CoverageCheck;
 use crate::evaluate::Remark;
 use crate::geometry::{Camera, Mask, kept_pixels};
@@ -22,8 +23,8 @@ pub fn masks(views: &Views, masks: &[Option<Mask>], tell: &mut dyn FnMut(Remark)
         let cameras = views.cameras();
         let all: u64 = cameras.iter().map(Camera::pixels).sum();
         let left_out = 100.0 * (1.0 - kept_pixels(&cameras, masks) as f64 / all as f64);
-        let frames = cameras.len();
-        tell(Remark::Note(format!("masks of {masked} of {frames} frames leave out {left_out:.1} % of the pixels")));
+        let frames = counted(cameras.len(), "frame");
+        tell(Remark::Note(format!("masks of {masked} of {frames} leave out {left_out:.1} % of the pixels")));
     }
     Ok(())
 }
@@ -72,11 +73,14 @@ pub fn near(splats: &Splats, cameras: &[Camera], tell: &mut dyn FnMut(Remark)) {
 /// Notes what is odd about a finished field. `could_pool`: whether its run would accept pooling.
 pub fn field(field: &UncertaintyField, pooling: Pooling, could_pool: bool, tell: &mut dyn FnMut(Remark)) {
     if let Some(median) = field.median_rays().filter(|&median| median < MIN_RAYS_PER_VERTEX && !pooling.is_on()) {
-        let few = format!("half of the vertices that moved are supported by {median} rays or fewer");
-        tell(Remark::Note(match could_pool {
-            true => format!("{few}; --pooling auto uses what their neighbours saw, more --rays is better"),
-            false => format!("{few}; more --rays is better"),
-        }));
+        let few = match median {
+            0 | 1 => "at most one ray".into(),
+            rays => format!("{rays} rays or fewer"),
+        };
+        let way_out = if could_pool { "--pooling auto uses what their neighbours saw, " } else { "" };
+        tell(Remark::Note(format!(
+            "half of the vertices that moved are supported by {few}; {way_out}more --rays is better"
+        )));
     }
     if let Some(tile) = field.tile().filter(|_| field.sums().is_some_and(|sums| sums.iter().all(|s| s.rays == 0))) {
         let text = format!("tile {tile} has no vertex that a ray touched: the scene is too small for so many tiles");

@@ -19,6 +19,7 @@ mod identity;
 pub(crate) mod memory;
 mod model;
 mod needs;
+mod purpose;
 mod report;
 mod run;
 mod scale;
@@ -35,6 +36,7 @@ pub use candidates::Candidates;
 pub use flags::in_flags;
 pub use model::OpenedModel;
 pub use needs::Needs;
+pub use purpose::{Choices, Purpose};
 #[cfg(feature = "cli")]
 pub(crate) use report::PERCENTS;
 pub use report::{Finished, described};

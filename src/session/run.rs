@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use derive_setters::Setters;
 
-use super::{Finished, ScaleKind, TrainingPixels, checks, world};
+use super::{Choices, Finished, Purpose, TrainingPixels, checks, world};
 use crate::dataset::{Views, read_masks};
 use crate::estimate::{
     Audit, Checkpoint, ErrorBudget, Estimation, Goal, GridSettings, Outcome, RayError, RaySettings, Run, StepCheck,
@@ -43,12 +43,10 @@ pub struct Session {
     domain: Option<Domain>,
     /// Which rays are drawn, and how they are differentiated.
     rays: RaySettings,
-    /// The grid on which information is summed. Its scale follows from `scale` and `noise`.
+    /// The grid on which information is summed. `choices` decide on its scale, level, covariance and sums.
     grid: GridSettings,
-    /// What U is a deviation of.
-    scale: ScaleKind,
-    /// The noise that training left; `None` for what the model records.
-    noise: Option<f64>,
+    /// What was chosen, and what the field is for.
+    choices: Choices,
     /// Which rays are drawn, and when the run ends.
     goal: Goal,
     /// Where the state is saved.
@@ -98,8 +96,7 @@ impl Session {
             domain: None,
             rays: RaySettings::default(),
             grid: GridSettings::default(),
-            scale: ScaleKind::default(),
-            noise: None,
+            choices: Choices::default(),
             goal: Goal::default(),
             checkpoint: None,
             images: None,
@@ -124,6 +121,16 @@ impl Session {
         tell: &mut dyn FnMut(Remark),
     ) -> Result<Prepared<'a>> {
         let start = Instant::now();
+        let choices = &self.choices;
+        let count = match model {
+            Subject::Volume(_) => None,
+            Subject::Splats(splats) => Some(splats.len()),
+        };
+        let grid = choices.settle(self.grid, count, tell)?;
+        if let (Some(Purpose::Depth), Subject::Volume(_), None) = (choices.purpose, model, &self.images) {
+            let text = "deviations of depth lack the model's errors of colour: --images adds them";
+            tell(Remark::Note(text.into()));
+        }
         if let Subject::Splats(splats) = model {
             splats.notes().iter().for_each(|note| tell(Remark::Note(note.clone())));
             checks::near(splats, &self.cameras, tell);
@@ -136,8 +143,8 @@ impl Session {
         };
         let pixels = kept_pixels(&self.cameras, &self.masks);
         let training = TrainingPixels { pixels: Some(pixels), noise };
-        let grid = self.grid.scale(self.scale.over(&domain, self.noise, training)?);
-        self.images.as_ref().map_or(Ok(()), |_| self.scale.check_images())?;
+        let grid = grid.scale(choices.scale().over(&domain, choices.noise, training)?);
+        self.images.as_ref().map_or(Ok(()), |_| choices.scale().check_images())?;
         if matches!(grid.scale, Scale::Data(_)) {
             checks::pixels(&self.views, pixels, tell);
         }
@@ -264,6 +271,12 @@ impl Prepared<'_> {
         let settings = RaySettings { background, occupancy, march_step, pixel_offset, ..RaySettings::for_images() };
         let tracer = settings.tracer(field, 0.0, self.monitor)?;
         images.compare(&tracer, settings.offset_for(field), self.run.lattice(), self.monitor).map(Some)
+    }
+
+    /// The finest level.
+    #[must_use]
+    pub fn level(&self) -> u8 {
+        self.grid.level
     }
 
     /// Whether the number of rays is known beforehand.

@@ -34,7 +34,7 @@ impl ScaleKind {
     pub fn check_images(self) -> Result<()> {
         match self {
             Self::Paper => {
-                let expected = "--scale data, in which depths have deviations";
+                let expected = "--scale data, in which depths have deviations (--for depth sets it)";
                 Err(Error::setting("--images", expected, "the paper's"))
             }
             Self::Data => Ok(()),
@@ -53,11 +53,15 @@ impl ScaleKind {
                 None => Ok(Scale::Paper),
             };
         }
-        let missing =
-            |flags, what| Error::setting("--scale data", what, format!("neither {flags} nor a model that knows"));
-        let pixels = training.pixels.ok_or_else(|| missing("`training_pixels`", "the number of training pixels"))?;
-        let noise = noise.or(training.noise);
-        let noise = noise.ok_or_else(|| missing("--noise", "the noise that training left"))?;
+        let missing = |what, found| Error::setting("--scale data", what, found);
+        let pixels = training.pixels.ok_or_else(|| {
+            missing("the number of training pixels", "neither `training_pixels` nor a model that stores it")
+        })?;
+        let noise = noise.or(training.noise).ok_or_else(|| {
+            let expected = "the error that training left, --noise 10^(-PSNR/20) by the PSNR of the training images \
+                            (30 dB: 0.032)";
+            missing(expected, "neither --noise nor a model that stores it")
+        })?;
         DataScale::new(pixels, noise, DataScale::default_prior_deviation(domain)).map(Scale::Data)
     }
 }

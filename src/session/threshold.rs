@@ -44,8 +44,14 @@ impl Threshold {
         match self {
             Self::Log10(log10) => {
                 if log10 >= prior {
-                    let text = format!("no density lies above the threshold: the field's prior is {prior:.3}");
-                    tell(Remark::Warning(text));
+                    let share = (0.0..=100.0).contains(&log10).then(|| field.surface_quantiles([0.01 * log10]));
+                    let hint = share.transpose()?.flatten().map_or(String::new(), |[usual]| {
+                        format!("; as a share of visible surfaces, {log10}%, the threshold is log10 U = {usual:.3}")
+                    });
+                    tell(Remark::Warning(format!(
+                        "--threshold: no density lies above {log10}: the field's largest log10 U, its prior, is \
+                         {prior:.3}{hint}"
+                    )));
                 }
                 let warning = threshold_warning(field, log10)?;
                 warning.iter().for_each(|text| tell(Remark::Warning(format!("--threshold: {text}"))));

@@ -41,7 +41,7 @@ impl UncertaintyField {
         let Scale::Data(_) = self.record.scale else {
             return Err(Error::setting(
                 "scale",
-                "a field computed with it, because deviations of depth need scene units",
+                "a field computed with it, because deviations of depth need scene units (`uncertainty --for depth`)",
                 "one in the paper's scale",
             ));
         };

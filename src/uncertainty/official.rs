@@ -83,7 +83,9 @@ impl UncertaintyField {
         });
         if missing {
             let found = format!("a field that holds `{}` only", self.record.covariance.name());
-            return Err(Error::setting("kept sums", "a field that keeps its sums, or one of `trace`", found));
+            let expected = "a field that keeps its sums, or one of `trace`, for the official code's grid; for NumPy \
+                            export to `.npz`";
+            return Err(Error::setting("kept sums", expected, found));
         }
         npy::write(path, &[sums.len() as u64], sums.into_iter().map(|s| s as f32))
     }

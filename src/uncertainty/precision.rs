@@ -41,7 +41,8 @@ impl UncertaintyField {
     #[doc(hidden)]
     pub fn precision(&self) -> Result<Precision<'_>> {
         let Scale::Data(data) = self.record.scale else {
-            let expected = "a field computed with it, which counts information in pixels";
+            let expected =
+                "a field computed with it, which counts information in pixels (`uncertainty --for next-view`)";
             return Err(Error::setting("scale", expected, "one in the paper's scale"));
         };
         if self.is_part() {
@@ -49,7 +50,8 @@ impl UncertaintyField {
             return Err(Error::setting("field", expected, "a part of one"));
         }
         let Some(sums) = self.local_sums(&self.record.reading().unpooled()) else {
-            let expected = "a field that keeps its sums, to which the rays of a view can be added";
+            let expected = "a field that keeps its sums, to which the rays of a view can be added (`uncertainty --for \
+                            next-view`)";
             return Err(Error::setting("kept sums", expected, "one that keeps deviations only"));
         };
         Ok(Precision { field: self, sums, limits: self.limits(), data })

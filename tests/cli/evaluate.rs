@@ -216,6 +216,9 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
         assert!(both.contains(curve), "{curve}");
     }
     let text = good(desk.path(), &command);
+    // What it comes to stands first: two views are too few.
+    assert!(text.starts_with("No verdict: "), "{text}");
+    assert_eq!(text.lines().next(), found["verdict"][0].as_str());
     assert!(text.contains("errors of depth within") && text.contains("deviation of the ray's weights"), "{text}");
     // The training views confirm some depths. Their line has the coverage of the JSON.
     let entries = found["readings"].as_array().unwrap();

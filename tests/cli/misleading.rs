@@ -152,6 +152,13 @@ fn a_threshold_that_leaves_nothing_is_told_with_the_share_that_was_meant() {
             assert_eq!(warned(verb, &good), Vec::<String>::new(), "{verb} {good}");
         }
     }
+    // Above all that the field has, a percent sign was meant, too; above 100 there is no share.
+    let [most] = field.surface_quantiles([0.99]).unwrap();
+    for (threshold, hint) in [("99", format!("99%, the threshold is log10 U = {most:.3}")), ("101", String::new())] {
+        let warnings = warned(&verbs[0], threshold);
+        assert!(warnings[0].contains("no density lies above") && warnings[0].contains(&hint), "{warnings:?}");
+        assert_eq!(warnings[0].contains('%'), !hint.is_empty(), "{warnings:?}");
+    }
     // Without points on surfaces, pixels tell.
     field.with_surface(Vec::new()).write(&desk.path().join("x.oct")).unwrap();
     for verb in &verbs[..2] {

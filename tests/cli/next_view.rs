@@ -99,7 +99,15 @@ fn what_splats_cannot_be_ranked_by_is_refused_by_name() {
     std::fs::write(folder.join("bent.json"), bent.to_string()).unwrap();
     refused(folder, &format!("{rank} --candidates bent.json"), &["cameras of splats", "no lens distortion"]);
     good(folder, "uncertainty scene.ply --cameras transforms.json -o paper.oct --level 5 --rays 6000 --keep-sums");
-    refused(folder, "next-view scene.ply paper.oct --candidates transforms.json -o r.json", &["--scale data"]);
+    let rank = "next-view scene.ply paper.oct --candidates transforms.json -o r.json";
+    refused(folder, rank, &["--scale data", "--for next-view"]);
+    good(folder, "uncertainty scene.ply --cameras transforms.json -o bare.oct --rays 6000 --scale data --noise 0.05");
+    refused(folder, &rank.replace("paper", "bare"), &["--keep-sums", "--for next-view"]);
+    // The preset that both name makes a field that can be ranked by, of splats at their own level.
+    let preset = "uncertainty scene.ply --cameras transforms.json -o made.oct --rays 6000 --for next-view";
+    refused(folder, preset, &["--noise", "10^(-PSNR/20)"]);
+    good(folder, &format!("{preset} --noise 0.05"));
+    good(folder, &rank.replace("paper", "made").replace("r.json", "ranked.json"));
     assert!(!folder.join("r.json").exists());
 }
 

@@ -54,6 +54,39 @@ fn more_pixels_and_less_noise_make_a_scene_more_certain() {
     assert_eq!((&value["answers"]["sums"], &value["answers"]["ray coverage"]), (&false.into(), &true.into()));
 }
 
+/// What a purpose needs is set unless it is given, and noted; a dry run plans the same.
+#[test]
+fn a_purpose_sets_what_its_verb_needs() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let run_for = |options: &str| {
+        let args = format!("uncertainty scene:ball --rays 2000 --resolution 24 --occupancy 16 -o f.oct {options}");
+        let output = run(folder, &args);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{options}: {said}");
+        (UncertaintyField::read(&folder.join("f.oct")).unwrap(), said)
+    };
+    let (field, said) = run_for("--for depth --noise 0.05 --level 4");
+    assert!(said.contains("note: --for depth sets --covariance block, --scale data, --keep-sums"), "{said}");
+    assert!(said.contains("--images"), "what a volume needs besides: {said}");
+    assert!(field.depth_posterior().is_ok() && field.sums().is_some());
+    assert_eq!((field.lattice().level(), field.record().covariance.name()), (4, "block"));
+    let (field, said) = run_for("--for ranking --covariance trace");
+    assert!(said.contains("note: --for ranking sets --level 6\n"), "{said}");
+    assert_eq!((field.lattice().level(), field.record().covariance.name()), (6, "trace"));
+    let (_, said) = run_for("--for next-view --noise 0.05 --level 4 --scale data --keep-sums");
+    assert!(!said.contains("sets"), "{said}");
+    let output =
+        run(folder, "uncertainty scene:ball --for ranking --dry-run --resolution 24 --occupancy 16 --rays 2000");
+    assert!(String::from_utf8(output.stdout).unwrap().contains("run     level 6,"), "a dry run plans the same");
+    // An answer that is no length comes with a note; one that is comes without.
+    let paper = run_for("--level 4").0;
+    assert!(matches!(paper.record().scale, Scale::Paper));
+    assert!(String::from_utf8(run(folder, "query f.oct 0,0,0").stderr).unwrap().contains("is no length"));
+    run_for("--level 4 --scale data --noise 0.05");
+    assert_eq!(String::from_utf8(run(folder, "query f.oct 0,0,0").stderr).unwrap(), "");
+}
+
 /// Whether images say something of a place does not depend on what U is a deviation of.
 #[test]
 fn what_was_seen_is_the_same_on_both_scales() {

@@ -150,7 +150,11 @@ fn what_splats_do_not_have_is_refused_by_name() {
         refused(folder, &format!("{RUN} {option} -o x.oct"), &[option.split(' ').next().unwrap(), "splats"]);
     }
     refused(folder, "uncertainty scene.ply -o x.oct", &["--cameras", "brings no cameras"]);
+    // Splats have no other derivatives than those that `auto` asks for.
+    good(folder, &format!("{RUN} --gradient auto -o auto.oct"));
     good(folder, &format!("{RUN} -o scene.oct"));
+    let bytes = ["auto.oct", "scene.oct"].map(|name| std::fs::read(folder.join(name)).unwrap());
+    assert!(bytes[0] == bytes[1], "the same field");
     let cameras = "--cameras transforms.json";
     refused(
         folder,

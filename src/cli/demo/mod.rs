@@ -71,7 +71,7 @@ pub struct Args {
     scene: Option<String>,
 
     /// Finest level, 4 to 9
-    #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(4..=9))]
+    #[arg(long, default_value_t = 7, value_parser = count::<u8>(4..=9))]
     level: u8,
 
     /// Rays

@@ -10,7 +10,7 @@ use super::files::CommandFiles;
 use super::given::Given;
 use super::opened::OpenedField;
 use super::options::{
-    CameraFile, DepthOptions, FrameOptions, ModelArgument, check_field_name, heading, parse_probability,
+    CameraFile, DepthOptions, FrameOptions, ModelArgument, check_field_name, count, heading, parse_probability,
 };
 use super::progress::Bars;
 use super::streams::tell;
@@ -98,7 +98,7 @@ pub struct Args {
         long,
         value_name = "N",
         default_value_t = Evaluation::STRIDE,
-        value_parser = clap::value_parser!(u32).range(1..),
+        value_parser = count::<u32>(1..),
         help_heading = heading::INPUT,
         hide_short_help = true,
     )]

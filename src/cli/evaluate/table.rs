@@ -18,6 +18,7 @@ impl Args {
         if self.json {
             return say!("{}", escaped(&serde_json::json!(report)));
         }
+        report.verdict.iter().try_for_each(|sentence| say!("{sentence}"))?;
         say!("protocol of the evaluation")?;
         let (n, cameras, stride) = (report.views.len(), &report.cameras, report.stride);
         let pixels = if stride == 1 { "every pixel".into() } else { format!("1 pixel in {stride} along x and y") };

@@ -13,6 +13,7 @@ use crate::cli::opened::OpenedField;
 use crate::estimate::{GridKind, GridSettings};
 use crate::geometry::{Aabb, Domain, Norm};
 use crate::posterior::{Covariance, Pooling};
+use crate::session::{Choices, Purpose};
 use crate::uncertainty::OfficialGrid;
 use crate::{Error, Result};
 
@@ -71,23 +72,24 @@ impl DomainOptions {
 /// How information becomes a field.
 #[derive(Args)]
 pub struct GridOptions {
-    /// Finest level L, 1 to 16: up to 2^L cells per axis. 6 is a quick look, 8 the paper's grid, 6 or 7 suit splats
-    #[arg(
-        long,
-        default_value_t = GridSettings::default().level,
-        value_parser = clap::value_parser!(u8).range(1..=16),
-        help_heading = heading::GRID,
-    )]
-    pub level: u8,
+    /// What the field is for. Sets the options that this needs, unless they are given
+    // A level for all models would be wrong for splats, so what is open stays open until the model is known.
+    #[arg(long = "for", value_name = "GOAL", value_enum, help_heading = heading::STATISTICS)]
+    pub purpose: Option<Purpose>,
+
+    /// Finest level L, 1 to 16: up to 2^L cells per axis. 6 is a quick look, 8 the paper's grid [default: 8; for splats
+    /// 6, or 7 if there are more than 32768; or what --for sets]
+    #[arg(long, value_parser = count::<u8>(1..=16), help_heading = heading::GRID)]
+    pub level: Option<u8>,
 
     /// Structure that carries the field
     #[arg(long, value_enum, default_value_t, help_heading = heading::GRID, hide_short_help = true)]
     pub grid: GridKind,
 
     /// What U^2 is of a vertex's 3x3 Hessian H: the paper's sum of 1/H_kk (diagonal), the official code's 1/tr H
-    /// (trace), or tr H^-1, which does not depend on the axes (block)
-    #[arg(long, value_enum, default_value_t, help_heading = heading::STATISTICS, hide_short_help = true)]
-    pub covariance: Covariance,
+    /// (trace), or tr H^-1, which does not depend on the axes (block) [default: diagonal, or what --for sets]
+    #[arg(long, value_enum, help_heading = heading::STATISTICS, hide_short_help = true)]
+    pub covariance: Option<Covariance>,
 
     /// Prior precision, 1 / scene unit^2 [default: 1e-4 / 2^(3 level) per squared longest edge of the box]
     #[arg(
@@ -125,17 +127,26 @@ pub struct GridOptions {
 }
 
 impl GridOptions {
-    /// The library's settings, but for the scale.
+    /// The library's settings, but for those that [`GridOptions::choices`] decide on.
     pub fn settings(&self) -> GridSettings {
         GridSettings {
             grid: self.grid,
-            level: self.level,
-            covariance: self.covariance,
             lambda: self.lambda,
             tolerance: self.tolerance,
             pooling: self.pooling,
-            keep_sums: self.keep_sums,
             ..GridSettings::default()
+        }
+    }
+
+    /// What the purpose or the model decides on, where it is not given.
+    pub fn choices(&self) -> Choices {
+        Choices {
+            purpose: self.purpose,
+            level: self.level,
+            covariance: self.covariance,
+            scale: self.scale.scale,
+            noise: self.scale.noise,
+            keep_sums: self.keep_sums.then_some(true),
         }
     }
 }

@@ -15,7 +15,6 @@ pub use parse::{
     Frames, UTF_8, model_name, numbers, parse_background, parse_box, parse_bytes, parse_contraction, parse_frames,
     parse_pair, parse_positive, parse_probability, parse_range, parse_resolution, parse_share, parse_tile, parse_views,
 };
-pub use scale::ScaleOptions;
 
 use clap::{Args, ValueEnum};
 
@@ -94,7 +93,7 @@ mod tests {
     use crate::geometry::Norm;
     use crate::posterior::{Covariance, Criterion};
     use crate::render::GradientMethod;
-    use crate::session::ScaleKind;
+    use crate::session::{Purpose, ScaleKind};
 
     /// Files and Python read names by serde, the command line by clap.
     #[test]
@@ -112,6 +111,7 @@ mod tests {
         check::<GridKind>(2);
         check::<Norm>(2);
         check::<RayAverage>(5);
+        check::<Purpose>(4);
         check::<ScaleKind>(2);
     }
 }

@@ -44,6 +44,9 @@ impl std::fmt::Display for RayCount {
     }
 }
 
+/// Numbers up to this need no other spelling.
+const SHORT: u64 = 2000;
+
 /// What [`count`] takes, in words.
 fn expected_count(range: &impl RangeBounds<u64>) -> String {
     let low = match range.start_bound() {
@@ -56,7 +59,9 @@ fn expected_count(range: &impl RangeBounds<u64>) -> String {
         Bound::Excluded(&high) => format!("from {low} to {}", high - 1),
         Bound::Unbounded => format!("of {low} or more"),
     };
-    format!("expected a whole number {high}, such as 20000, 20_000, 20k or 2e4")
+    let is_short = matches!(range.end_bound(), Bound::Included(&high) | Bound::Excluded(&high) if high <= SHORT);
+    let such_as = if is_short { "" } else { ", such as 20000, 20_000, 20k or 2e4" };
+    format!("expected a whole number {high}{such_as}")
 }
 
 /// The whole number that `text` stands for, without rounding.

@@ -10,12 +10,12 @@ use crate::session::ScaleKind;
 #[derive(Args)]
 pub struct ScaleOptions {
     /// The evidence behind U: one noisy training ray, as in the paper (U only ranks places), or all training pixels (U
-    /// is a standard deviation in scene units)
-    #[arg(long, value_enum, default_value_t, help_heading = heading::STATISTICS)]
-    pub scale: ScaleKind,
+    /// is a standard deviation in scene units) [default: paper, or what --for sets]
+    #[arg(long, value_enum, help_heading = heading::STATISTICS)]
+    pub scale: Option<ScaleKind>,
 
     /// For --scale data: RMSE of the model's colours (0..1) on its training images, 10^(-PSNR/20): 0.032 at 30 dB
-    /// [default: what a model of `train` records; others need it]
+    /// [default: what a model of `train` or `demo` stores; others need it]
     #[arg(
         long,
         value_name = "RMSE",

@@ -1,9 +1,21 @@
 //! Progress for stderr that is no terminal: a line every ten seconds, and none for work that takes less.
+//!
+//! How much time is left shows once enough is done to say.
 
 use std::time::{Duration, Instant};
 
 /// Time between lines.
 const EVERY: Duration = Duration::from_secs(10);
+/// A stage has no line before.
+const SHORTEST: Duration = Duration::from_secs(2);
+/// Share of a stage from which its time is known.
+const TELLING: f64 = 0.02;
+
+/// How much longer a stage of which a `share` took `elapsed` will take, if that can be known yet.
+pub fn left(share: f64, elapsed: Duration) -> Option<Duration> {
+    let is_known = share >= TELLING && elapsed >= SHORTEST;
+    is_known.then(|| elapsed.mul_f64((1.0 / share - 1.0).max(0.0)))
+}
 
 /// The stage under way, and when it was last reported.
 pub struct Lines {
@@ -39,16 +51,18 @@ impl Lines {
     /// `units` more are done. Returns the line to print, if it is time.
     pub fn advance(&mut self, units: u64, now: Instant) -> Option<String> {
         self.done = self.done.saturating_add(units);
-        if now.duration_since(self.printed) < EVERY || self.done == 0 {
+        let elapsed = now.duration_since(self.begun);
+        let is_under_way = self.done > 0 && self.done < self.total && elapsed >= SHORTEST;
+        if now.duration_since(self.printed) < EVERY || !is_under_way {
             return None;
         }
         self.printed = now;
-        let share = self.done as f64 / self.total.max(1) as f64;
-        let elapsed = now.duration_since(self.begun).as_secs_f64();
-        let left = elapsed * (1.0 / share - 1.0).max(0.0);
+        let share = self.done as f64 / self.total as f64;
+        let left =
+            left(share, elapsed).map_or(String::new(), |left| format!(", about {:.0} s left", left.as_secs_f64()));
         let message = if self.message.is_empty() { String::new() } else { format!("; {}", self.message) };
         let Self { stage, done, total, .. } = self;
-        Some(format!("{stage}: {done} of {total} ({:.0} %), about {left:.0} s left{message}", 100.0 * share))
+        Some(format!("{stage}: {done} of {total} ({:.0} %){left}{message}", 100.0 * share))
     }
 }
 
@@ -67,11 +81,16 @@ mod tests {
         assert_eq!(lines.advance(50, at(10)).unwrap(), "rays: 100 of 400 (25 %), about 18 s left");
         assert_eq!(lines.advance(50, at(19)), None);
         lines.message("step 7".into());
-        assert!(lines.advance(250, at(20)).unwrap().ends_with("(100 %), about 0 s left; step 7"));
+        assert!(lines.advance(200, at(20)).unwrap().ends_with("(88 %), about 2 s left; step 7"));
+        assert_eq!(lines.advance(50, at(31)), None, "all is done");
         // Short stages share the ten seconds, and a stage without progress prints nothing.
         lines.begin("rows", 10, at(28));
         assert_eq!(lines.advance(0, at(31)), None);
         assert_eq!(lines.advance(5, at(32)).unwrap(), "rows: 5 of 10 (50 %), about 4 s left");
+        // A stage that has hardly begun has no line, and of too little no time follows.
+        lines.begin("occupancy", 4096, at(50));
+        assert_eq!(lines.advance(1, at(51)), None);
+        assert_eq!(lines.advance(39, at(52)).unwrap(), "occupancy: 40 of 4096 (1 %)");
         // A line of the work's own counts, too.
         lines.printed(at(40));
         assert_eq!(lines.advance(1, at(49)), None);

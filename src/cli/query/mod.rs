@@ -18,7 +18,7 @@ use crate::dataset::PointReader;
 use crate::error::printable;
 use crate::io::{AtomicFile, npy, refuse_pipe};
 use crate::monitor::check;
-use crate::posterior::Covariance;
+use crate::posterior::{Covariance, Scale};
 use crate::uncertainty::{Answer, Answers, Observability, UncertaintyField};
 use crate::{Error, Result};
 
@@ -91,7 +91,8 @@ impl Source {
             several => match several.iter().find(|point| typed(point).is_none()) {
                 Some(other) => {
                     let expected = "one file, or points as x,y,z without spaces, such as 0,0,0.5";
-                    Err(Error::setting("POINTS", expected, format!("{} among others", other.display())))
+                    let other = other.to_string_lossy();
+                    Err(Error::setting("POINTS", expected, format!("{} among others", other.trim())))
                 }
                 None => Ok(Some(Self::Typed(several.iter().filter_map(typed).collect::<Vec<_>>().join("\n")))),
             },
@@ -112,12 +113,18 @@ fn is_point(word: &str) -> bool {
     word.contains(',') && word.split(',').all(|number| number.trim().parse::<f64>().is_ok())
 }
 
-/// The words of a command line, in which a point that begins with a minus is no option: a space goes before it.
+/// Whether a word is a point, or its first coordinate, that begins with a minus.
+fn is_negative(word: &str) -> bool {
+    word.starts_with('-') && (is_point(word) || word.parse::<f64>().is_ok())
+}
+
+/// The words of a command line, in which a point or a number that begins with a minus is no option: a space goes before
+/// it.
 pub fn with_points(words: impl Iterator<Item = OsString>) -> impl Iterator<Item = OsString> {
     let mut is_query = false;
     words.map(move |word| {
         is_query |= word == "query";
-        let begins_so = is_query && word.to_str().is_some_and(|word| word.starts_with('-') && is_point(word));
+        let begins_so = is_query && word.to_str().is_some_and(is_negative);
         if begins_so { [OsStr::new(" "), &word].into_iter().collect() } else { word }
     })
 }
@@ -152,6 +159,12 @@ impl Args {
             .outputs("--output", named(&self.output))
             .check()?;
         let field = OpenedField::open(&self.field)?;
+        if field.facts().record().scale == Scale::Paper {
+            announce!(
+                "note: U of this field ranks places and is no length: it is in the paper's scale (`uncertainty --scale \
+                 data` computes standard deviations in scene units)"
+            );
+        }
         if let (None, Some(source)) = (self.covariance, &source) {
             return self.answer_points(field.space(), open(source)?, &output, bars);
         }

@@ -11,7 +11,7 @@ use self::orbit::orbit;
 use self::studio::{Cleaned, Studio};
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, Frames, ModelArgument, heading, parse_frames, parse_positive, parse_range};
+use super::options::{CameraOptions, Frames, ModelArgument, count, heading, parse_frames, parse_positive, parse_range};
 use super::progress::Bars;
 use super::streams::tell;
 use crate::dataset::{Frame, Part};
@@ -78,7 +78,7 @@ pub struct Args {
     #[arg(
         long,
         value_name = "N",
-        value_parser = clap::value_parser!(u32).range(2..=720),
+        value_parser = count::<u32>(2..=720),
         conflicts_with = "depth_error",
         help_heading = heading::OUTPUT,
     )]

@@ -160,7 +160,7 @@ pub struct Args {
         long,
         value_name = "LOG2",
         default_value_t = HashGridConfig::default().log2_hashmap_size,
-        value_parser = clap::value_parser!(u32).range(8..=22),
+        value_parser = count::<u32>(8..=22),
         help_heading = heading::ADVANCED,
         hide_short_help = true,
     )]

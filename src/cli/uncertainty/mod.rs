@@ -9,7 +9,7 @@ use glam::Vec3;
 use super::files::CommandFiles;
 use super::given::Given;
 use super::options::{
-    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelArgument, RayCount, check_field_name, heading,
+    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelArgument, RayCount, check_field_name, count, heading,
     parse_background, parse_bytes, parse_positive, parse_share, parse_tile,
 };
 use super::progress::Bars;
@@ -181,7 +181,7 @@ pub struct Args {
         value_name = "GROUPS",
         num_args = 0..=1,
         default_missing_value = "8",
-        value_parser = clap::value_parser!(u16).range(2..=64),
+        value_parser = count::<u16>(2..=64),
         conflicts_with_all = ["dump_samples", "shard", "memory"],
         help_heading = heading::STATISTICS,
     )]
@@ -232,7 +232,7 @@ pub struct Args {
         long,
         value_name = "N",
         default_value_t = Occupancy::DEFAULT_RESOLUTION as u16,
-        value_parser = clap::value_parser!(u16).range(4..=512),
+        value_parser = count::<u16>(4..=512),
         help_heading = heading::ADVANCED,
         hide_short_help = true,
     )]
@@ -279,7 +279,7 @@ impl Args {
         }
         let cameras = self.cameras.training(&self.frames, model.model.field(), &self.model.model)?;
         let find = |folder: &PathBuf| {
-            self.grid.scale.scale.check_images()?;
+            self.grid.choices().scale().check_images()?;
             TrainingImages::find(folder, &cameras.views.frames)
         };
         let images = self.images.as_ref().map(find).transpose()?;
@@ -292,8 +292,7 @@ impl Args {
             .domain(self.domain.chosen()?)
             .rays(self.ray_settings())
             .grid(self.grid_settings())
-            .scale(self.grid.scale.scale)
-            .noise(self.grid.scale.noise)
+            .choices(self.grid.choices())
             .goal(Goal::of(self.target_error, self.shard, self.error_bars))
             .checkpoint(self.checkpoint())
             .images(images)
@@ -307,10 +306,11 @@ impl Args {
             return self.print(&prepared.needs(&mut tell)?);
         };
         if let Some(plan) = prepared.forecast(&mut tell)? {
-            report::plan(&plan, self.grid.level);
+            report::plan(&plan, prepared.level());
         }
+        let level = prepared.level();
         let finished = prepared.finish(&mut tell)?;
-        finished.replanned.iter().for_each(|plan| report::plan(plan, self.grid.level));
+        finished.replanned.iter().for_each(|plan| report::plan(plan, level));
         finished.save(output)?;
         report::finished(&finished, self.json)
     }
@@ -318,7 +318,9 @@ impl Args {
     /// Refuses options that mean nothing for splats, or that splats do not have yet.
     fn refuse_for_splats(&self, given: &Given) -> Result<()> {
         let marched = ["--gradient", "--cutoff", "--occupancy", "--audit"];
-        given.refuse(&marched, "a volume, whose rays are marched and whose density is differentiated", "splats")?;
+        // Splats are always differentiated by their own derivatives, which `auto` asks for.
+        let refused = &marched[usize::from(self.gradient == GradientMethod::Auto)..];
+        given.refuse(refused, "a volume, whose rays are marched and whose density is differentiated", "splats")?;
         let in_turn = ["--memory", "--target-error"];
         given.refuse(
             &in_turn,

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::Args;
 use crate::cli::files::CommandFiles;
 use crate::cli::given::Given;
-use crate::cli::options::{ScaleOptions, check_field_name};
+use crate::cli::options::check_field_name;
 use crate::cli::progress::Bars;
 use crate::cli::report;
 use crate::cli::streams::tell;
@@ -14,9 +14,10 @@ use crate::session::{Accumulation, TrainingPixels};
 use crate::{Error, Result};
 
 /// The options that samples leave open; all others are about a model and its rays.
-const OPEN: [&str; 12] = [
+const OPEN: [&str; 13] = [
     "--box",
     "--contract",
+    "--for",
     "--level",
     "--grid",
     "--tolerance",
@@ -43,10 +44,11 @@ impl Args {
         let neither = || Error::setting("--box", "the box of the field, or --contract", "neither");
         let domain = self.domain.chosen()?.ok_or_else(neither)?;
         let reader = SamplesReader::open(samples)?;
-        let ScaleOptions { scale, noise } = self.grid.scale;
+        let choices = self.grid.choices();
+        let grid = choices.settle(self.grid.settings(), None, &mut tell)?;
         let training = TrainingPixels { pixels: reader.training_pixels(), noise: None };
-        let scale = scale.over(&domain, noise, training)?;
-        let accumulation = Accumulation::new(self.grid.settings().scale(scale), domain)?;
+        let scale = choices.scale().over(&domain, choices.noise, training)?;
+        let accumulation = Accumulation::new(grid.scale(scale), domain)?;
         let finished = accumulation.read(&reader, bars, &mut tell)?;
         finished.save(output)?;
         report::finished(&finished, self.json)
