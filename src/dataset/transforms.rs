@@ -13,7 +13,7 @@ use std::ffi::OsString;
 use std::path::Path;
 
 use self::keys::{PERSPECTIVE, RawFile, RawFrame};
-pub use self::write::write_transforms;
+pub use self::write::{transforms_text, write_transforms};
 use super::intrinsics::{Fault, Intrinsics};
 use super::pictures::{MaskFile, image_path};
 use super::pose::rigid_pose;
