@@ -232,4 +232,14 @@ fn a_refused_budget_is_told_the_smallest_one() {
     let least: f64 = least.split_whitespace().next().unwrap().parse().unwrap();
     assert!(least > 20.0, "{stderr}");
     keeps_and_uses(args, &[(10, 1e6 * least)]);
+    // A part of a run uses less of its budget, and names what is enough for that.
+    let part = |memory: f64| {
+        let part = format!("uncertainty {args} --level 10 --shard 0/2 --memory {memory}MB -o x.oct --dry-run");
+        let output = run(folder.path(), &part);
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (_, stderr) = part(20.0);
+    let (_, least) = stderr.split_once("--memory: expected at least ").expect("the smallest budget of a part");
+    let (code, stderr) = part(least.split_whitespace().next().unwrap().parse().unwrap());
+    assert_eq!(code, Some(0), "{stderr}");
 }

@@ -526,12 +526,12 @@ def _samples(samples: Mapping[str, Any]) -> tuple[Any, ...]:
     positions = floats("samples['positions']", samples["positions"], (None, 3))
     n = len(positions)
     jacobian = floats("samples['jacobian']", samples["jacobian"], (n, 3, 3)).reshape(n, 9)
-    ray = array(samples["ray"])
+    ray = array("samples['ray']", samples["ray"])
     if ray.shape != (n,) or ray.dtype.kind not in "iu" or (n > 0 and ray.min() < 0):
         raise wrong("samples['ray']", f"an array of whole numbers of shape [{n}], 0 or more", ray)
     weight = samples.get("weight")
     weight = np.zeros(n, np.float32) if weight is None else floats("samples['weight']", weight, (n,))
-    total = array(samples["rays_total"])
+    total = array("samples['rays_total']", samples["rays_total"])
     if total.size != 1:
         raise wrong("samples['rays_total']", "a whole number, 1 or more", total)
     total = whole("samples['rays_total']", total.item(), 1)

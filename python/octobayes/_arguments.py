@@ -17,7 +17,10 @@ def found(value: Any) -> str:
     shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
     if shape is not None and dtype is not None:
         return f"an array of shape {_shape(shape)} and type {dtype}"
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # a whole number of more digits than Python prints
+        return f"a whole number of {value.bit_length()} bits"
     return text if len(text) <= 80 else f"{text[:77]}... ({type(value).__name__})"
 
 
@@ -30,8 +33,15 @@ def _shape(shape: Iterable[Any]) -> str:
     return "[" + ", ".join("N" if side is None else str(side) for side in shape) + "]"
 
 
-def array(value: Any) -> NDArray[Any]:
+def array(name: str, value: Any) -> NDArray[Any]:
     """Anything with ``__array__`` or DLPack as a NumPy array, without a copy where that can be."""
+    try:
+        return _array(value)
+    except Exception as error:
+        raise wrong(name, "an array of real numbers", value) from error
+
+
+def _array(value: Any) -> NDArray[Any]:
     if hasattr(value, "detach"):  # a torch tensor: NumPy takes neither gradients nor other devices
         value = value.detach().cpu()
         if str(value.dtype) == "torch.bfloat16":
@@ -48,7 +58,7 @@ def floats(
     """A C-contiguous array of ``dtype`` and ``shape`` (``None``: any side)."""
     expected = f"an array of real numbers of shape {_shape(shape)}"
     try:
-        given = array(value)
+        given = _array(value)
     except Exception as error:
         raise wrong(name, expected, value) from error
     # bfloat16 of JAX is of kind V, and converts.
@@ -65,28 +75,38 @@ def floats(
 
 def points(name: str, value: Any) -> tuple[NDArray[np.float32], tuple[int, ...]]:
     """Points as float32 ``[N, 3]``, and the shape that answers have: that of ``value`` without its last axis."""
-    given = array(value)
+    given = array(name, value)
     if given.ndim == 0 or given.shape[-1] != 3:
         raise wrong(name, "an array of real numbers of shape [N, 3]", given)
     return floats(name, given.reshape(-1, 3), (None, 3)), given.shape[:-1]
 
 
-def whole(name: str, value: Any, low: int, high: int | None = None) -> int:
+#: Largest count without a limit of its own, as on the command line.
+MOST = 10**15
+
+
+def _is_finite(value: Any) -> bool:
+    """Whether it is a number that a float holds."""
+    try:
+        return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+def whole(name: str, value: Any, low: int, high: int = MOST) -> int:
     """A whole number within a range."""
-    upto = "or more" if high is None else f"to {high}"
-    expected = f"a whole number, {low} {upto}"
     # 4e5 is a float for NumPy and for people, but a number of rays all the same.
-    is_whole = isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
-    if not is_whole or value != int(value) or value < low or (high is not None and value > high):
-        raise wrong(name, expected, value)
+    if not _is_finite(value) or value != int(value) or not low <= value <= high:
+        is_too_large = isinstance(value, numbers.Real) and value > high
+        upto = f"to {high}" if high < MOST or is_too_large else "or more"
+        raise wrong(name, f"a whole number, {low} {upto}", value)
     return int(value)
 
 
 def real(name: str, value: Any, low: float | None = None, above: float | None = None) -> float:
     """A finite number, from ``low`` or ``above`` on."""
     limit = f", {low:g} or more" if low is not None else f" above {above:g}" if above is not None else ""
-    is_real = isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
-    if not is_real or (low is not None and value < low) or (above is not None and value <= above):
+    if not _is_finite(value) or (low is not None and value < low) or (above is not None and value <= above):
         raise wrong(name, f"a finite number{limit}", value)
     return float(value)
 

@@ -65,7 +65,7 @@ def one(name: str, camera: Mapping[str, Any]) -> NDArray[np.float64]:
     pose = camera.get("pose", camera.get("transform_matrix"))
     if pose is None:
         raise wrong(name, "a camera with a pose", f"keys {sorted(camera)}")
-    given = array(pose)
+    given = array(f"{name}['pose']", pose)
     pose = floats(f"{name}['pose']", given, (3 if given.shape[:1] == (3,) else 4, 4), np.float64)
     if len(pose) == 3:
         pose = np.vstack([pose, [0.0, 0.0, 0.0, 1.0]])
@@ -108,7 +108,7 @@ def one(name: str, camera: Mapping[str, Any]) -> NDArray[np.float64]:
 
 def _split(cameras: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
     """One dictionary of arrays as a list: what has an entry per camera is divided, the rest is shared."""
-    pose = array(cameras.get("pose", cameras.get("transform_matrix")))
+    pose = array("cameras['pose']", cameras.get("pose", cameras.get("transform_matrix")))
     if pose.ndim != 3:
         return [cameras]
     # An array of two numbers belongs to all cameras; to each belongs what has one row per pose.
@@ -117,7 +117,7 @@ def _split(cameras: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
     def part(key: str, value: Any, i: int) -> Any:
         if key in ("pose", "transform_matrix"):
             return pose[i]
-        given = array(value)
+        given = array(f"cameras['{key}']", value)
         if key in each:
             is_each = given.ndim == 2 or (key == "focal" and given.ndim == 1 and len(given) == len(pose) != 2)
         else:

@@ -21,7 +21,7 @@ ROUNDING = 1e-6
 
 
 def _density(name: str, value: Any, n: int) -> Floats:
-    given = array(value)
+    given = array(name, value)
     if given.shape == (n, 1):
         given = given[:, 0]
     # What is not finite drops the ray, and is counted; but -inf is a logarithm's, and says so.
@@ -77,7 +77,7 @@ class Gate:
 
     def _color(self, name: str, value: Any, n: int) -> tuple[Floats, NDArray[np.bool_] | None]:
         """Colour ``[N, 3]`` within [0, 1], and where it had to be clamped; ``None`` if nowhere."""
-        given = array(value)
+        given = array(name, value)
         if given.dtype.kind in "iu":
             raise wrong(name, "values from 0 to 1", f"integers of type {given.dtype}, up to {given.max(initial=0)}")
         color = floats(name, given, (n, 3), finite=False)

@@ -133,7 +133,7 @@ def _are_cameras(candidates: Any) -> bool:
 
 def _posed(poses: Any, training: Cameras) -> Cameras:
     """Cameras of these poses with the lens of the first training camera."""
-    given = array(poses)
+    given = array("candidates", poses)
     if given.ndim != 3 or given.shape[1:] not in ((3, 4), (4, 4)) or len(given) == 0:
         raise wrong("candidates", "an array of poses [C, 4, 4] or [C, 3, 4], or cameras", given)
     given = floats("candidates", given, given.shape, np.float64)

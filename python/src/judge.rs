@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use octobayes::dataset::{DepthKind, Part, camera_file};
-use octobayes::evaluate::{DepthFiles, Evaluation, Reading};
+use octobayes::dataset::{DepthKind, Part, camera_file, passed_over};
+use octobayes::evaluate::{DepthFiles, Evaluation, Reading, Remark};
 use octobayes::session::CameraSource;
 use octobayes::uncertainty::UncertaintyField;
 use pyo3::prelude::*;
@@ -43,7 +43,8 @@ pub fn evaluate(
     let kind = if options.or("z_depth", false)? { DepthKind::Z } else { DepthKind::Euclidean };
     let pattern = options.or("depth_pattern", DepthFiles::PATTERN.to_string())?;
     let depth = DepthFiles { folder: options.get("depth")?, pattern, scale: options.get("depth_encoding")?, kind };
-    let cameras = camera_file(&options.or("cameras", PathBuf::new())?, Part::HeldOut);
+    let folder = options.or("cameras", PathBuf::new())?;
+    let cameras = camera_file(&folder, Part::HeldOut);
     let held_out = CameraSource { file: Some(cameras.clone()), fov: None, resolution: options.resolution()? };
     let selection = options.selection()?;
     let (name, settings) = (options.or("source", String::new())?, image_settings(&options)?);
@@ -53,6 +54,7 @@ pub fn evaluate(
         source.with(engine, |model| {
             let mut texts = Vec::new();
             let mut tell = |remark| texts.push(said(remark));
+            passed_over(&folder, &cameras).into_iter().for_each(|text| tell(Remark::Note(text)));
             let views = held_out.read(None, &mut tell)?;
             let evaluation = Evaluation {
                 model,

@@ -15,7 +15,7 @@ use octobayes::render::RayAverage;
 use octobayes::session::{Choices, Resolution};
 use octobayes::uncertainty::{Comparison, OfficialGrid};
 use pyo3::conversion::FromPyObjectOwned;
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyOverflowError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde::de::DeserializeOwned;
@@ -30,7 +30,14 @@ impl<'py> Options<'_, 'py> {
     /// The argument's value, if it was given.
     pub fn get<T: FromPyObjectOwned<'py>>(&self, name: &str) -> PyResult<Option<T>> {
         match self.0.get_item(name)? {
-            Some(value) if !value.is_none() => value.extract::<T>().map(Some).map_err(Into::into),
+            Some(value) if !value.is_none() => value.extract::<T>().map(Some).map_err(|error| {
+                let error: PyErr = error.into();
+                // A number that is too large for its type, or negative: Python's error does not name the argument.
+                if error.is_instance_of::<PyOverflowError>(self.0.py()) {
+                    return PyValueError::new_err(format!("{name}: expected a number within its range, found {value}"));
+                }
+                error
+            }),
             _ => Ok(None),
         }
     }

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
-use octobayes::dataset::{Frame, MaskFile, ResolutionSource, Views};
+use octobayes::dataset::{Frame, MaskFile, Part, ResolutionSource, Views, camera_file, passed_over};
 use octobayes::estimate::{Checkpoint, Goal, Subject};
-use octobayes::evaluate::TrainingImages;
+use octobayes::evaluate::{Remark, TrainingImages};
 use octobayes::geometry::{Camera, Mask};
 use octobayes::session::{CameraSource, OpenedModel, Session};
 use pyo3::exceptions::PyValueError;
@@ -197,10 +197,13 @@ pub fn read_cameras<'py>(
     options: &Bound<'py, PyDict>,
 ) -> PyResult<Cameras<'py>> {
     let options = Options(options);
-    let from = CameraSource { file: path, fov: options.get("fov")?, resolution: options.resolution()? };
+    // A folder means the same file as on the command line.
+    let file = path.as_ref().map(|path| camera_file(path, Part::Training));
+    let note = path.zip(file.as_ref()).and_then(|(path, file)| passed_over(&path, file));
+    let from = CameraSource { file, fov: options.get("fov")?, resolution: options.resolution()? };
     let selection = options.selection()?;
     let model = model.map(|model| model.get().0.clone());
-    let mut texts = Vec::new();
+    let mut texts: Vec<Said> = note.map(Remark::Note).map(said).into_iter().collect();
     let (views, source) = py
         .detach(|| {
             let mut tell = |remark| texts.push(said(remark));

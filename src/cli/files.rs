@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::identity::Identity;
-use crate::dataset::Views;
+use crate::dataset::{Views, taken_for};
 use crate::io::place::{destination, folder_of};
 use crate::io::{AtomicFile, part};
 use crate::uncertainty::TiledField;
@@ -55,8 +55,8 @@ impl CommandFiles {
         paths.into_iter().fold(self, |files, path| files.output(option, path))
     }
 
-    /// Checks that every output can be written, that it is a different file from all others, and that it does not
-    /// join the tiles of a folder that is read. Removes what killed runs left of the outputs.
+    /// Checks that every output can be written, that it is a different file from all others, and that it neither joins
+    /// the tiles of a folder that is read nor seems to be the cameras of a data set. Removes what killed runs left of the outputs.
     pub fn check(&self) -> Result<()> {
         let folders: Vec<&(String, PathBuf)> = self.inputs.iter().filter(|(_, path)| path.is_dir()).collect();
         let mut tiles = Vec::new();
@@ -70,6 +70,11 @@ impl CommandFiles {
             if let Some((other, name)) = others.insert(Identity::new(path), output) {
                 let found = format!("{}, the same file as {} of {other}", path.display(), name.display());
                 return Err(Error::setting(option, "a file of its own", found));
+            }
+            if let Some(other) = taken_for(path) {
+                let expected = "a folder without a data set, whose cameras this file would seem to be";
+                let found = format!("{}, beside {}", path.display(), other.display());
+                return Err(Error::setting(option, expected, found));
             }
             let place = |path: &Path| Identity::new(folder_of(path));
             let is_field = path.extension().is_some_and(|extension| extension == "oct");

@@ -42,7 +42,7 @@ use clap::{ArgAction, CommandFactory, FromArgMatches, Parser, Subcommand};
 use crate::session::in_flags;
 use crate::{Error, Result};
 use given::Given;
-use progress::Bars;
+use progress::{Bars, ignore_limit_of_files};
 
 /// Where can a trained radiance field (NeRF) be trusted?
 ///
@@ -140,6 +140,7 @@ fn ended(result: Result<()>) -> ExitCode {
 }
 
 fn run(verb: Verb, given: &Given) -> Result<()> {
+    ignore_limit_of_files();
     let bars = &Bars::new();
     // The other verbs end at once on a signal; `query` and `export` do so for some of their work.
     if !matches!(

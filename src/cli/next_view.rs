@@ -7,10 +7,10 @@ use serde_json::{Value, json};
 
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, FrameOptions, ModelArgument, count, heading};
+use super::options::{CameraOptions, FrameOptions, ModelArgument, count, heading, of_folder};
 use super::progress::Bars;
 use super::streams::tell;
-use crate::dataset::{Part, Views, camera_file, write_transforms};
+use crate::dataset::{Part, Views, write_transforms};
 use crate::evaluate::Remark;
 use crate::geometry::Camera;
 use crate::io::{AtomicFile, write_exr};
@@ -141,7 +141,7 @@ impl Args {
     /// Runs the verb.
     pub fn run(mut self, bars: &Bars) -> Result<()> {
         self.cameras.find(Part::Training);
-        self.candidates = self.candidates.take().map(|path| camera_file(&path, Part::HeldOut));
+        self.candidates = self.candidates.take().map(|path| of_folder(&path, Part::HeldOut));
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
             .input("FIELD", &self.field)

@@ -13,8 +13,10 @@
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
+use super::colmap::ModelFiles;
 use super::views::{Frame, Purpose, Views};
 use crate::error::{counted, printable};
+use crate::io::place::folder_of;
 use crate::{Error, Result};
 
 /// Frames that are named, of those without an image or held out.
@@ -377,6 +379,27 @@ pub fn camera_file(path: &Path, part: Part) -> PathBuf {
     files.find(|file| file.is_file()).unwrap_or_else(|| path.to_path_buf())
 }
 
+/// The file by which the folder of `path` is a data set already, if a camera file of this name would seem to be that
+/// data set's: it would be read in the place of a COLMAP model, or as the other part of its frames.
+#[must_use]
+pub fn taken_for(path: &Path) -> Option<PathBuf> {
+    const NAMES: [&str; 4] =
+        ["transforms.json", "transforms_train.json", "transforms_test.json", "transforms_val.json"];
+    if !has_name(path, &NAMES) {
+        return None;
+    }
+    let listed = NAMES[1..].iter().map(|name| path.with_file_name(name)).filter(|file| file != path && file.exists());
+    listed.chain(ModelFiles::all(folder_of(path)).into_iter().map(|model| model.images)).next()
+}
+
+/// What people are told if [`camera_file`] found `file` in a folder that has a COLMAP model as well.
+#[must_use]
+pub fn passed_over(folder: &Path, file: &Path) -> Option<String> {
+    let model = ModelFiles::all(folder).into_iter().next().filter(|_| folder != file)?;
+    let [folder, file, model] = [folder, file, &model.images].map(|path| path.display());
+    Some(format!("{folder} has two sources of cameras: {file} is read, and not COLMAP's {model} (name it to read it)"))
+}
+
 /// The file of held-out frames that belongs to a file of training frames, if it exists.
 #[must_use]
 pub fn test_partner(path: &Path) -> Option<PathBuf> {
@@ -550,6 +573,43 @@ mod tests {
             assert_eq!(split.matching(part, &Selection::All, |_| true).unwrap(), []);
         }
         assert_eq!(split.select(Part::HeldOut, &Selection::BothParts, |_| true).unwrap().len(), 20);
+    }
+
+    /// `train --splats -o set/m.ply` once wrote `set/transforms.json`, and the next command read it for the data set's.
+    #[test]
+    fn a_camera_file_does_not_join_a_data_set() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let put = |name: &str| {
+            std::fs::create_dir_all(path(name).parent().unwrap()).unwrap();
+            std::fs::write(path(name), "").unwrap();
+        };
+        for (set, other) in [
+            ("project", "sparse/0/images.bin"),
+            ("flat", "sparse/images.txt"),
+            ("below", "colmap/sparse/0/images.bin"),
+            ("undistorted", "dense/sparse/images.bin"),
+            ("model", "images.bin"),
+            ("blender", "transforms_train.json"),
+            ("tests", "transforms_test.json"),
+        ] {
+            put(&format!("{set}/{other}"));
+            put(&format!("{set}/{}", other.replace("images.", "cameras.")));
+            let written = path(&format!("{set}/transforms.json"));
+            assert_eq!(taken_for(&written), Some(path(&format!("{set}/{other}"))), "{set}");
+            let is_colmap = other.contains("images");
+            // The folder alone means the model, until there is a transforms.json.
+            assert_eq!(passed_over(&path(set), &path(set)), None, "{set}");
+            put(&format!("{set}/transforms.json"));
+            let said = passed_over(&path(set), &camera_file(&path(set), Part::Training));
+            assert_eq!(said.is_some(), is_colmap, "{set}: {said:?}");
+            assert!(said.is_none_or(|said| said.contains("transforms.json is read") && said.contains(other)));
+            assert_eq!(taken_for(&path(&format!("{set}/next.json"))), None, "no data set has this name");
+        }
+        put("own/transforms.json");
+        put("own/m.ply");
+        assert_eq!((taken_for(&path("own/transforms.json")), taken_for(&path("none/transforms.json"))), (None, None));
+        assert_eq!(passed_over(&path("own"), &path("own/transforms.json")), None);
     }
 
     #[test]

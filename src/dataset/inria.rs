@@ -123,12 +123,10 @@ fn pose(
     Ok(matrix)
 }
 
-/// Writes cameras, each with the name of its image, as the original code does; cx and cy, which it does not know, stand
-/// beside what it reads.
-///
-/// # Errors
-/// If the file cannot be written.
-pub fn write_inria(path: &Path, cameras: &[(String, Camera)]) -> Result<()> {
+/// A file of cameras, each with the name of its image, as the original code writes it; cx and cy, which it does not
+/// know, stand beside what it reads.
+#[must_use]
+pub fn inria_text(cameras: &[(String, Camera)]) -> String {
     let entry = |(i, (name, camera)): (usize, &(String, Camera))| {
         let [right, down, forward] = [camera.axes.x_axis, -camera.axes.y_axis, -camera.axes.z_axis];
         let row = |k: usize| [right[k], down[k], forward[k]];
@@ -138,10 +136,7 @@ pub fn write_inria(path: &Path, cameras: &[(String, Camera)]) -> Result<()> {
             "fx": camera.focal[0], "fy": camera.focal[1], "cx": camera.center[0], "cy": camera.center[1],
         })
     };
-    let entries: Vec<Value> = cameras.iter().enumerate().map(entry).collect();
-    let mut file = crate::io::AtomicFile::create(path)?;
-    serde_json::to_writer(&mut file, &entries).map_err(|e| Error::io(path, "cannot write")(e.into()))?;
-    file.commit()
+    Value::Array(cameras.iter().enumerate().map(entry).collect()).to_string()
 }
 
 #[cfg(test)]
@@ -168,7 +163,7 @@ mod tests {
         let path = folder.path().join("cameras.json");
         let mut camera = Camera::look_at(DVec3::new(3.0, -1.0, 2.0), DVec3::X, DVec3::Z, 0.7, [40, 30]);
         camera.center = [19.0, 16.5];
-        write_inria(&path, &[("a/r_0".into(), camera), ("b".into(), camera)]).unwrap();
+        std::fs::write(&path, inria_text(&[("a/r_0".into(), camera), ("b".into(), camera)])).unwrap();
         let frames = Views::read(&path, None).unwrap().frames;
         assert_eq!((frames.len(), frames[0].name.as_str()), (2, "a/r_0"));
         assert!(frames[1].camera.is_like(&camera, 1.0), "{:?}", frames[1].camera);

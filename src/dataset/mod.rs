@@ -28,15 +28,15 @@ pub use views::{Frame, Purpose, Views};
 pub use self::{
     colmap::{ScenePoint, scene_points},
     depth::{DepthEncoding, DepthKind, DepthMap},
-    frames::{FrameSplit, Part, test_partner},
+    frames::{FrameSplit, Part, passed_over, taken_for, test_partner},
     hemisphere::Hemisphere,
     image::PosedImage,
-    inria::write_inria,
+    inria::inria_text,
     pictures::{MaskFile, check_masks, image_path, read_masks},
     points::PointReader,
     readings::{DepthReadings, LargestDepth, Unmeasured},
     sizes::has_shape,
-    transforms::write_transforms,
+    transforms::{transforms_text, write_transforms},
     views::ResolutionSource,
     world::{Similarity, frame_beside, frames_of_training},
 };

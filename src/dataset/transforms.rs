@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use self::keys::{PERSPECTIVE, RawFile, RawFrame};
-pub use self::write::write_transforms;
+pub use self::write::{transforms_text, write_transforms};
 use super::intrinsics::{Fault, Intrinsics};
 use super::pictures::{MaskFile, SMALLER, image_path, image_path_in, note_of_smaller};
 use super::pose::rigid_pose;

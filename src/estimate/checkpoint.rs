@@ -18,8 +18,9 @@ use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::{MaxLevels, Tile};
 use crate::posterior::{Posterior, RayCoverage, Sums};
-use crate::rays::{Pixels, RunProgress, Shard};
+use crate::rays::{Pixels, RaySet, RunProgress, Shard};
 use crate::render::GradientMethod;
+use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// A file that lets a run survive Ctrl-C, `kill -9` and power cuts.
@@ -95,14 +96,16 @@ impl Checkpoint {
         self.files(groups).iter().filter_map(|file| progress(file).ok()).map(|progress| progress.rays).sum()
     }
 
-    /// Removes the files of a run whose result is saved.
+    /// Removes the files of a run whose result, this field, is saved. A file that another run has put there meanwhile
+    /// stays.
     ///
     /// # Errors
     /// If a file exists and cannot be removed.
-    pub fn remove(&self, groups: Option<u16>) -> Result<()> {
+    pub fn remove(&self, groups: Option<u16>, field: &UncertaintyField) -> Result<()> {
         let files = self.files(groups);
-        let mut there = files.iter().filter(|file| file.exists());
-        there.try_for_each(|file| std::fs::remove_file(file).map_err(Error::io(file, "cannot remove")))
+        let is_own = |file: &&PathBuf| Head::read(file).is_ok_and(|(head, _)| head.key.is_of(field));
+        let mut own = files.iter().filter(is_own);
+        own.try_for_each(|file| std::fs::remove_file(file).map_err(Error::io(file, "cannot remove")))
     }
 }
 
@@ -197,6 +200,23 @@ pub struct RunKey {
     pub limits: u32,
     /// The part of space whose sums are kept, if not all.
     pub tile: Option<Tile>,
+}
+
+impl RunKey {
+    /// Whether a field can be of this run.
+    fn is_of(&self, field: &UncertaintyField) -> bool {
+        let record = field.record();
+        // All parts of a run are one set.
+        let is_drawn = |RaySet { seed, shard }: &RaySet| {
+            (*seed, shard.rays) == (self.seed, self.shard.rays) && [1, self.shard.of].contains(&shard.of)
+        };
+        field.ray_sets().iter().any(is_drawn)
+            && (record.cameras_checksum, record.pixel_offset) == (Some(self.cameras), Some(self.pixel_offset))
+            && (record.gradient, record.background) == (Some(self.gradient), Some(self.background))
+            && record.march_step.unwrap_or(0.0) == self.march_step
+            && *field.lattice() == self.lattice
+            && field.tile() == self.tile
+    }
 }
 
 /// The section `run`.

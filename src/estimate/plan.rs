@@ -296,17 +296,18 @@ impl Planner {
     pub fn plan(&self) -> Result<Plan> {
         let wanted = self.with_rays_per_vertex(self.settings.rays_per_vertex());
         let Some(budget) = self.settings.memory.map(|bytes| bytes as f64) else { return Ok(wanted) };
+        let share = if self.is_part { TARGET_BUDGET_SHARE_OF_A_PART } else { 1.0 };
         let least = match self.settings.grid {
-            GridKind::Dense => wanted.peak(),
+            GridKind::Dense => wanted.peak() / share,
             GridKind::Octree => {
                 // On the coarsest leaves nothing is left to give up if the plan is wrong.
                 let coarsest = self.coarsest();
-                coarsest.outside + coarsest.spare + 2.0 * (coarsest.summing + coarsest.finishing)
+                let doubled = coarsest.outside + coarsest.spare + 2.0 * (coarsest.summing + coarsest.finishing);
+                doubled.max(coarsest.peak() / share)
             }
         };
         let is_safe = |plan: &Plan| budget >= least || plan.rays_per_vertex == wanted.rays_per_vertex;
-        let aim = if self.is_part { TARGET_BUDGET_SHARE_OF_A_PART * budget } else { budget };
-        self.within(aim).filter(is_safe).ok_or_else(|| {
+        self.within(share * budget).filter(is_safe).ok_or_else(|| {
             // Enough for the next process, too, which may be just large enough to be rounded up to one grain more.
             let enough = ((least + GRAIN) / 1e6).ceil();
             let expected = format!("at least {enough} MB, or a lower level, or fewer rays");

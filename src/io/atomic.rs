@@ -39,6 +39,14 @@ impl AtomicFile {
         Ok(Self { writer: BufWriter::with_capacity(1 << 16, file), target: destination })
     }
 
+    /// Writes a whole file.
+    #[cfg(feature = "files")]
+    pub fn write(target: &Path, content: &[u8]) -> Result<()> {
+        let mut file = Self::create(target)?;
+        file.write_all(content).map_err(Error::io(target, "cannot write"))?;
+        file.commit()
+    }
+
     /// Flushes the content to disk. After that, [`AtomicFile::commit`] can hardly fail: files that belong together
     /// are all flushed before the first gets its name.
     pub fn sync(&mut self) -> Result<()> {

@@ -6,7 +6,7 @@ mod panel;
 mod plot;
 
 pub use animation::write_animation;
-pub(crate) use panel::stage_sheet;
 pub use panel::{Bar, Panel, color_panel, draw_sheet, scalar_panel, write_noted_sheet, write_sheet};
+pub(crate) use panel::{is_own_sheet, stage_sheet};
 pub use plot::{Curve, write_plot};
 pub(crate) use plot::{Plot, stage_plots};

@@ -1,6 +1,6 @@
 //! Images with a title and a labelled colour bar, arranged on a sheet.
 
-use std::io::{Cursor, Write};
+use std::io::{Cursor, Read, Write};
 use std::path::Path;
 
 use glam::DVec3;
@@ -11,6 +11,10 @@ use super::lettering::{LINE, width_of_line, write_line};
 use crate::io::AtomicFile;
 use crate::{Error, Result};
 
+/// Bytes of a PNG before its second chunk: the signature and the size.
+const START: usize = 33;
+/// By which a sheet is recognised before it is replaced without being named.
+const MADE_BY: &[u8] = b"Software\0octobayes";
 const FOREGROUND: Rgb<u8> = Rgb([30, 30, 30]);
 const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
 /// Colour of pixels without a value.
@@ -191,8 +195,22 @@ fn stage_picture(path: &Path, picture: &RgbImage) -> Result<AtomicFile> {
         .write_to(&mut bytes, ImageFormat::Png)
         .map_err(|e| Error::malformed(path, "picture", "an encodable PNG", e.to_string()))?;
     let mut file = AtomicFile::create(path)?;
-    file.write_all(bytes.get_ref()).map_err(Error::io(path, "cannot write"))?;
+    // The text comes behind the signature and the size.
+    let (start, rest) = bytes.get_ref().split_at(START);
+    let mut chunk = vec![0, 0, 0, MADE_BY.len() as u8];
+    chunk.extend(b"tEXt");
+    chunk.extend(MADE_BY);
+    chunk.extend(crc32fast::hash(&chunk[4..]).to_be_bytes());
+    [start, &chunk, rest].iter().try_for_each(|part| file.write_all(part)).map_err(Error::io(path, "cannot write"))?;
     Ok(file)
+}
+
+/// Whether a file is a sheet that this program wrote.
+#[must_use]
+pub(crate) fn is_own_sheet(path: &Path) -> bool {
+    let mut bytes = Vec::new();
+    let read = crate::io::open(path).map(|file| file.take((START + 8 + MADE_BY.len()) as u64).read_to_end(&mut bytes));
+    matches!(read, Ok(Ok(_))) && bytes.ends_with(MADE_BY)
 }
 
 /// Draws rows of panels as one picture.
@@ -293,7 +311,10 @@ mod tests {
         };
         let rows = [vec![panel("a", 2.0), panel("b", 5.55)], vec![panel(&"long ".repeat(20), 2.0), panel("d", 5.55)]];
         write_sheet(&path, &rows).unwrap();
+        assert!(is_own_sheet(&path) && !is_own_sheet(folder.path()) && !is_own_sheet(&folder.path().join("none")));
         let sheet = image::open(&path).unwrap().to_rgb8();
+        sheet.save(folder.path().join("other.png")).unwrap();
+        assert!(!is_own_sheet(&folder.path().join("other.png")), "a picture of another program");
         write_noted_sheet(&path, &rows, "a line below").unwrap();
         let noted = image::open(&path).unwrap().to_rgb8();
         assert_eq!(noted.dimensions(), (sheet.width(), sheet.height() + LINE));

@@ -26,6 +26,7 @@ pub use pixels::Pixels;
 #[cfg(feature = "files")]
 pub use samples_file::{SamplesReader, SamplesWriter};
 pub(crate) use seeds::Purpose;
+pub(crate) use shard::MAX_RAYS;
 pub use shard::{RaySet, RunProgress, Shard};
 pub use stream::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};
 

@@ -6,6 +6,8 @@ use std::ops::Add;
 
 /// Rays per batch. Batch b starts at ray b · 512, and any batch can be drawn by itself.
 pub(super) const BATCH: u64 = 512;
+/// Most rays that a file may name: f64 counts that many exactly.
+pub const MAX_RAYS: u64 = 1 << 53;
 
 /// A part of a run of `rays` rays. In every round of `of` batches, it draws one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]

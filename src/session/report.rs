@@ -45,7 +45,7 @@ impl Finished {
     /// # Errors
     /// If it cannot be removed.
     pub fn remove_checkpoint(&self) -> Result<()> {
-        self.checkpoint.as_ref().map_or(Ok(()), |(checkpoint, groups)| checkpoint.remove(*groups))
+        self.checkpoint.as_ref().map_or(Ok(()), |(checkpoint, groups)| checkpoint.remove(*groups, &self.field))
     }
 
     /// The [description](described) of the field, with the run's threads, seconds, memory and errors.

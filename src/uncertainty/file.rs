@@ -32,9 +32,11 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::{DVec3, Vec3};
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
+use super::by_vertex::encode;
 use super::layers::{ErrorBars, Layer, Layers};
 use super::merge::Head;
 use super::{RunRecord, Support, UncertaintyField};
@@ -85,11 +87,15 @@ impl Source {
         let (header, file) = Reader::open::<Header>(path, FORMAT)?;
         let Header { record, lattice, kind, layers: heads } = header;
         let lattice = lattice.domain().checked().and_then(|domain| Lattice::from_domain(domain, lattice.level()));
-        let lattice =
-            lattice.map_err(|e| Error::malformed(path, "header", "a valid domain and level", e.to_string()))?;
-        if !record.is_possible() {
-            let expected = "a record that a run can have";
-            return Err(Error::malformed(path, "header", expected, format!("{record:?}")));
+        let lattice = lattice
+            .map_err(|e| Error::malformed(path, "header, lattice", "a valid domain and level", e.to_string()))?;
+        let of_points = |axes: DVec3| lattice.domain().to_scene(axes).as_vec3().is_finite();
+        if !(of_points(DVec3::ZERO) && of_points(DVec3::ONE) && lattice.edge().as_vec3().cmpgt(Vec3::ZERO).all()) {
+            let expected = "a domain whose points and cells f32 can hold";
+            return Err(Error::malformed(path, "header, lattice", expected, lattice.domain().to_string()));
+        }
+        if let Some((name, expected, found)) = record.impossible() {
+            return Err(Error::malformed(path, format!("header, {name}"), expected, found));
         }
         let (is_dense, layers) = (matches!(kind, Kind::Dense), Layers::default());
         Ok(Self { path: path.to_path_buf(), file, kind, heads, record, lattice, is_dense, vertices: 0, layers })
@@ -139,6 +145,18 @@ impl Source {
         }
         let expected = format!("{} entries, one per vertex", self.vertices);
         Err(self.malformed(format!("section `{section}`"), expected, entries.to_string()))
+    }
+
+    /// Refuses codes that no count of rays has.
+    pub fn expect_counts(&self, section: &str, codes: &[u8]) -> Result<()> {
+        let most = encode(u32::MAX);
+        match codes.iter().position(|code| *code > most) {
+            None => Ok(()),
+            Some(i) => {
+                let place = format!("section `{section}`, entry {i}");
+                Err(self.malformed(place, format!("the code of a count, at most {most}"), codes[i].to_string()))
+            }
+        }
     }
 
     /// What is wrong at a place of the file.
@@ -200,14 +218,18 @@ impl UncertaintyField {
         let support = file.support()?;
         let deviations: Vec<f32> = file.section("deviations")?;
         file.expect_one_per_vertex("deviations", deviations.len())?;
-        if let Some(i) = deviations.iter().position(|d| !(*d > 0.0 && d.is_finite())) {
+        // Rounding may exceed the prior's deviation by a few units in the last place.
+        let most = file.record.reading().prior() as f32 * (1.0 + 8.0 * f32::EPSILON);
+        if let Some(i) = deviations.iter().position(|d| !(d.is_normal() && *d > 0.0 && *d <= most)) {
             let place = format!("section `deviations`, entry {i}");
-            return Err(file.malformed(place, "a positive number", deviations[i].to_string()));
+            let expected = format!("a positive number, at most the prior's {most:e}");
+            return Err(file.malformed(place, expected, deviations[i].to_string()));
         }
         let rays: Vec<u8> = file.section("rays")?;
         if !rays.is_empty() {
             file.expect_one_per_vertex("rays", rays.len())?;
         }
+        file.expect_counts("rays", &rays)?;
         let layers = Layers::read(&mut file)?;
         let Source { record, lattice, .. } = file;
         Ok(Self { record, lattice, support, deviations: deviations.into(), rays: rays.into(), layers })

@@ -1,7 +1,7 @@
 //! The record of a run: everything that the numbers of its field depend on.
 
 use crate::posterior::{Covariance, Criteria, Pooling, Reading, Scale};
-use crate::rays::{Pixels, RaySet, Shard};
+use crate::rays::{MAX_RAYS, Pixels, RaySet, Shard};
 use crate::render::GradientMethod;
 
 /// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and the value is
@@ -76,28 +76,41 @@ impl RunRecord {
         Reading { covariance, scale, lambda, rays, pooling, tolerance }
     }
 
-    /// Checks whether a run can have had this record, for records read from files.
-    #[must_use]
-    pub fn is_possible(&self) -> bool {
-        let counts = self.rays > 0 && self.dropped <= self.rays && self.shard.is_none_or(|s| s.is_valid());
-        // λ is valid if f32 can hold the prior's deviation, which queries far from all rays return.
-        let lambda = self.lambda > 0.0
-            && self.lambda.is_finite()
-            && Covariance::ALL.iter().all(|c| (c.prior(self.lambda) as f32).is_normal());
-        let scale = match &self.scale {
+    /// The first number that no run can have, for records read from files: its name, what it can be, and what it is.
+    pub(super) fn impossible(&self) -> Option<(&'static str, &'static str, String)> {
+        const SHARE: &str = "a number from 0 to 1";
+        const LENGTH: &str = "a length above 0 that f32 can hold";
+        let is_share = |v: &f64| (0.0..=1.0).contains(v);
+        let in_f32 = |v: &f64| *v > 0.0 && (*v as f32).is_normal();
+        let is_of_scale = match &self.scale {
             Scale::Paper => true,
             Scale::Data(data) => data.is_possible() && data.lambda() == self.lambda,
         };
-        let limits = self.tolerance >= 0.0 && self.tolerance.is_finite();
-        let lengths = self.march_step.iter().chain(self.difference_step.iter().flatten());
-        let others = self.cutoff.iter().chain(&self.pixel_offset);
-        counts
-            && lambda
-            && scale
-            && limits
-            && lengths.into_iter().all(|v| *v > 0.0 && v.is_finite())
-            && others.into_iter().all(|v| *v >= 0.0 && v.is_finite())
-            && self.background.iter().flatten().all(|v| (0.0..=1.0).contains(v))
+        let checks = [
+            ("rays", (1..=MAX_RAYS).contains(&self.rays), "a whole number from 1 to 2^53"),
+            ("dropped", self.dropped <= self.rays, "no more than all rays"),
+            (
+                "shard",
+                self.shard.is_none_or(|shard| shard.is_valid() && shard.rays <= MAX_RAYS),
+                "a part of 1 to 2^53 rays, with an index below the number of parts",
+            ),
+            // f32 holds the prior's deviation, which queries far from all rays return.
+            (
+                "lambda",
+                Covariance::ALL.iter().all(|c| in_f32(&c.prior(self.lambda))),
+                "a precision above 0 whose prior deviation f32 can hold",
+            ),
+            ("scale", is_of_scale, "pixels, noise and prior deviation of a run, which give its lambda"),
+            ("tolerance", self.tolerance == 0.0 || in_f32(&self.tolerance), "0 or more, as far as f32 goes"),
+            ("march_step", self.march_step.iter().all(in_f32), LENGTH),
+            ("difference_step", self.difference_step.iter().flatten().all(in_f32), LENGTH),
+            ("cutoff", self.cutoff.iter().all(is_share), SHARE),
+            ("background", self.background.iter().flatten().all(|v| is_share(&f64::from(*v))), SHARE),
+            ("pixel_offset", self.pixel_offset.iter().all(is_share), SHARE),
+        ];
+        let (name, _, expected) = checks.into_iter().find(|(_, is_possible, _)| !is_possible)?;
+        let found = serde_json::to_value(self).map(|all| all[name].to_string()).unwrap_or_default();
+        Some((name, expected, found))
     }
 
     /// The record of a field from another program, with only these values known.

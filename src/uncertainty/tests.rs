@@ -13,6 +13,7 @@ use crate::render::{RaySample, RaySamples};
 use proptest::prelude::*;
 
 mod error_bars;
+mod forged;
 mod hanging;
 
 pub(super) fn record(lattice: &Lattice, covariance: Covariance, rays: u64) -> RunRecord {
@@ -292,23 +293,17 @@ fn surfaces_are_compared_at_the_reference_s_points() {
 #[test]
 fn headers_may_grow() {
     let folder = tempfile::tempdir().unwrap();
-    let [path, grown] = ["a.oct", "b.oct"].map(|name| folder.path().join(name));
+    let path = folder.path().join("a.oct");
     let field = fields(Covariance::Block, 1.0)[0].clone().without_sums();
     field.write(&path).unwrap();
-    let bytes = std::fs::read(&path).unwrap();
-    let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
-    let (header, sections) = bytes[20..].split_at(length);
-    let mut header: serde_json::Value = serde_json::from_slice(header).unwrap();
-    header["content"]["record"]["lens"] = "wide".into();
-    header["content"]["record"].as_object_mut().unwrap().remove("difference_step").unwrap();
-    let new = serde_json::json!({"name": "ray_coverage", "bytes": 5, "crc32": 0});
-    header["sections"].as_array_mut().unwrap().insert(1, new);
-    let masks = header["sections"][0]["bytes"].as_u64().unwrap() as usize;
-    let header = serde_json::to_vec(&header).unwrap();
-    let words = [FORMAT_VERSION, header.len() as u32, crc32fast::hash(&header)].map(u32::to_le_bytes).concat();
-    let sections = [&sections[..masks], b"12345", &sections[masks..]].concat();
-    std::fs::write(&grown, [&bytes[..8], &words, &header, &sections].concat()).unwrap();
-    assert_eq!(UncertaintyField::read(&grown).unwrap(), field);
+    forged::forge(&path, |header, sections| {
+        header["content"]["record"]["lens"] = "wide".into();
+        header["content"]["record"].as_object_mut().unwrap().remove("difference_step").unwrap();
+        let new = serde_json::json!({"name": "ray_coverage", "bytes": 5, "crc32": 0});
+        header["sections"].as_array_mut().unwrap().insert(1, new);
+        sections.insert(1, b"12345".to_vec());
+    });
+    assert_eq!(UncertaintyField::read(&path).unwrap(), field);
 }
 
 #[test]

@@ -167,6 +167,14 @@ fn views_members_and_what_is_wrong_with_them() {
     image::RgbImage::from_pixel(40, 40, image::Rgb([90; 3])).save(desk.path("r_0.png")).unwrap();
     let [_, stderr] = desk.good(&with_first);
     assert!(!stderr.contains("is finished"), "{stderr}");
+    // No argument names the members: a file that `train` did not write stays.
+    std::fs::write(desk.path("m-1.safetensors"), b"precious").unwrap();
+    for restart in ["", "--restart"] {
+        let output = desk.run(&format!("{two} {restart}"));
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && stderr.contains("another file at m-1.safetensors"), "{stderr}");
+        assert_eq!(desk.bytes("m-1.safetensors"), b"precious");
+    }
     // Only the state of a run may be replaced.
     std::fs::write(desk.path("y.state"), b"no state").unwrap();
     for restart in ["", "--restart"] {
@@ -338,11 +346,32 @@ fn splats_at_another_size_and_what_is_wrong_with_them() {
     Splats::read(&desk.path("out/s.ply")).unwrap().write_ply(&desk.path("out/other.ply"), &[], &[]).unwrap();
     let output = desk.run("train . --splats -o out/other.ply --steps 1");
     assert!(output.status.code() == Some(2) && desk.bytes("out/cameras.json") == cameras);
+    // A model that was trained here does not make other cameras its own, wherever it lies.
+    for (folder, name) in [("got", "cameras.json"), ("gotten", "transforms.json")] {
+        std::fs::create_dir(desk.path(folder)).unwrap();
+        std::fs::copy(desk.path("out/s.ply"), desk.path(&format!("{folder}/got.ply"))).unwrap();
+        std::fs::write(desk.path(&format!("{folder}/{name}")), "precious").unwrap();
+        let output = desk.run(&format!("train . -o {folder}/got.ply {SPLATS} --steps 3"));
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && stderr.contains(&format!("found {folder}/{name}")), "{stderr}");
+        assert_eq!(desk.bytes(&format!("{folder}/{name}")), b"precious");
+    }
+    // A folder with a model of COLMAP: a transforms.json there would be read in its place.
+    std::fs::create_dir_all(desk.path("col/sparse/0")).unwrap();
+    ["cameras", "images"]
+        .iter()
+        .for_each(|name| std::fs::write(desk.path(&format!("col/sparse/0/{name}.bin")), "").unwrap());
+    for out in ["col", "col/sparse", "col/sparse/0"] {
+        let output = desk.run(&format!("train . -o {out}/m.ply {SPLATS} --steps 3"));
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && stderr.contains("beside col/sparse/0/images.bin"), "{stderr}");
+        assert!(!desk.path(&format!("{out}/transforms.json")).exists() && !desk.path(&format!("{out}/m.ply")).exists());
+    }
     for (args, expected) in [
         ("train . --splats -o out/x.safetensors --steps 1", "--output: expected a name that ends in .ply"),
         ("train . --splats -o out/x.ply --steps 1", "found out/cameras.json"),
         // The cameras would be split again where their images are.
-        ("train . --splats -o x.ply --steps 1", "--output: expected a folder without the training images"),
+        ("train . --splats -o x.ply --steps 1", "a folder without a data set"),
         (
             "train . --splats -o new/x.ply --steps 1 --resolution 50",
             "--resolution: expected at most the 40 x 40 pixels of",
@@ -364,6 +393,12 @@ fn splats_at_another_size_and_what_is_wrong_with_them() {
     let before = desk.bytes("transforms.json");
     let output = desk.run("train . --splats -o x.ply --steps 1");
     assert!(output.status.code() == Some(2) && desk.bytes("transforms.json") == before);
+    // Where the images are, the cameras would be split again.
+    std::fs::rename(desk.path("transforms.json"), desk.path("named.json")).unwrap();
+    std::fs::remove_file(desk.path("transforms_test.json")).unwrap();
+    let output = desk.run("train named.json --splats -o x.ply --steps 1");
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(stderr.contains("--output: expected a folder without the training images"), "{stderr}");
 }
 
 #[test]

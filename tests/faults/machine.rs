@@ -75,7 +75,7 @@ fn a_full_disk_leaves_what_was_there_and_nothing_else() {
     // The state of a group is saved when it is complete.
     let checkpoint = format!("{RUN} --level 4 -o y.oct --error-bars 2 --checkpoint x.chk");
     for args in commands.into_iter().chain([checkpoint]) {
-        let script = format!("trap '' XFSZ; ulimit -f 1; exec {PROGRAM} {args}");
+        let script = format!("ulimit -f 1; exec {PROGRAM} {args}");
         let output = Command::new("sh").args(["-c", &script]).current_dir(folder).output().unwrap();
         let stderr = text(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{args}: {stderr}");
@@ -115,6 +115,19 @@ fn an_interrupted_sequence_says_which_frames_are_there() {
     let there = files(&folder.join("frames")).len();
     assert!((2..60).contains(&there), "{there}: the test must interrupt real progress");
     assert!(stderr.contains(&format!("error: interrupted; frames holds {there} of 60 frames")), "{stderr}");
+
+    // Frames of `render` are replaced, those of another program are not.
+    let [own, other] = ["frames/frame_0000.png", "frames/frame_0001.png"].map(|name| folder.join(name));
+    let few = args.replace("0..60", "0..2");
+    let run = || Command::new(PROGRAM).args(few.split(' ')).current_dir(folder).output().unwrap();
+    assert!(run().status.success());
+    let before = std::fs::read(&own).unwrap();
+    image::RgbImage::new(2, 2).save(&other).unwrap();
+    let foreign = std::fs::read(&other).unwrap();
+    let output = run();
+    let stderr = text(&output.stderr);
+    assert!(output.status.code() == Some(2) && stderr.contains("found frames/frame_0001.png"), "{stderr}");
+    assert!(std::fs::read(&own).unwrap() == before && std::fs::read(&other).unwrap() == foreign);
 }
 
 /// `/dev/full` accepts nothing.

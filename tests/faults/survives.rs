@@ -38,8 +38,27 @@ fn estimate(folder: &Path, grid: GridKind, every: Option<Duration>, output: &str
     let run = Estimation::new(&scene, &cameras).rays(rays).grid(GridSettings::default().grid(grid).level(6));
     let checkpoint = every.map(|every| Checkpoint::new(folder.join("run.chk")).every(every));
     let run = checkpoint.iter().cloned().fold(run, Estimation::checkpoint);
-    run.run().unwrap().field.write(&folder.join(output)).unwrap();
-    checkpoint.iter().for_each(|checkpoint| checkpoint.remove(None).unwrap());
+    let field = run.run().unwrap().field;
+    field.write(&folder.join(output)).unwrap();
+    checkpoint.iter().for_each(|checkpoint| checkpoint.remove(None, &field).unwrap());
+}
+
+/// A run that ends removes its own state. What another run has saved under this name meanwhile is needed.
+#[test]
+fn the_state_of_another_run_stays() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, cameras) = (ClosedForm::ball(), ClosedForm::half_circle(2, [16, 16]));
+    let checkpoint = Checkpoint::new(folder.path().join("run.chk")).every(Duration::ZERO);
+    let run = |seed: u64| {
+        let rays = RaySettings::default().rays(1200).occupancy(16).seed(seed);
+        let run = Estimation::new(&scene, &cameras).rays(rays).grid(GridSettings::default().level(4));
+        run.checkpoint(checkpoint.clone().restart(true)).run().unwrap().field
+    };
+    let [first, second] = [0, 1].map(run);
+    checkpoint.remove(None, &first).unwrap();
+    assert!(checkpoint.path().exists(), "the state of the second run");
+    checkpoint.remove(None, &second).unwrap();
+    assert!(!checkpoint.path().exists());
 }
 
 /// Where the process of [`worker`] works, and on which grid.

@@ -1,6 +1,6 @@
 //! Where cameras come from: files, or the model.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -8,7 +8,7 @@ use super::heading;
 use super::parse::{parse_fov, parse_resolution, parse_views};
 use crate::Result;
 use crate::cli::streams::tell;
-use crate::dataset::{Part, Selection, Views, camera_file};
+use crate::dataset::{Part, Selection, Views, camera_file, passed_over};
 use crate::field::RadianceField;
 use crate::session::{CameraSource, Resolution, TrainingCameras};
 
@@ -55,10 +55,17 @@ pub struct FrameOptions {
     pub views: Option<Selection>,
 }
 
+/// The camera file that a path means for a part. Says so on stderr if a folder has cameras elsewhere, too.
+pub fn of_folder(path: &Path, part: Part) -> PathBuf {
+    let file = camera_file(path, part);
+    passed_over(path, &file).inspect(|text| announce!("note: {text}"));
+    file
+}
+
 impl CameraFile {
     /// Of a folder, takes the file of held-out cameras.
     pub fn find(&mut self) {
-        self.cameras = camera_file(&self.cameras, Part::HeldOut);
+        self.cameras = of_folder(&self.cameras, Part::HeldOut);
     }
 
     /// Reads the file.
@@ -108,7 +115,7 @@ pub struct CameraOptions {
 impl CameraOptions {
     /// Of a folder, takes the file of a part.
     pub fn find(&mut self, part: Part) {
-        self.cameras = self.cameras.take().map(|path| camera_file(&path, part));
+        self.cameras = self.cameras.take().map(|path| of_folder(&path, part));
     }
 
     fn source(&self) -> CameraSource {

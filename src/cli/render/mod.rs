@@ -22,7 +22,7 @@ use crate::geometry::{Camera, MAX_PIXELS};
 use crate::io::write_exr;
 use crate::monitor::Monitor;
 use crate::open::Model;
-use crate::picture::{draw_sheet, write_animation, write_sheet};
+use crate::picture::{draw_sheet, is_own_sheet, write_animation, write_sheet};
 use crate::render::{RayAverage, RenderedView, Renderer, VolumeRenderer};
 use crate::session::{OpenedModel, Threshold, image_settings, scaled};
 use crate::splats::{SplatRenderer, Splats};
@@ -251,6 +251,10 @@ impl Args {
             return Err(Error::setting("--orbit", "one frame, from which the circle starts", "several"));
         }
         if self.frame.are_many() {
+            if let Some(path) = self.outputs().into_iter().find(|path| path.exists() && !is_own_sheet(path)) {
+                let expected = "a folder without frames of other programs, which those of `render` would replace";
+                return Err(Error::setting("--output", expected, path.display().to_string()));
+            }
             return std::fs::create_dir_all(&self.output).map_err(Error::io(&self.output, "cannot create the folder"));
         }
         let expected = if self.orbit.is_some() { ["gif", "png"] } else { ["png", "exr"] };

@@ -79,6 +79,16 @@ pub(super) fn warn_of_one_color(images: [(&str, &[Shot], Option<Quality>); 2], b
     }
 }
 
+/// Refuses to replace a file other than a model of `train` by a member, whose file no argument names.
+pub(super) fn check_member(member: &Member) -> Result<()> {
+    let is_model = |field: HashGrid| field.training().is_object();
+    if !member.path.exists() || HashGrid::read(&member.path).is_ok_and(is_model) {
+        return Ok(());
+    }
+    let found = format!("another file at {}", member.path.display());
+    Err(Error::setting("--members", "nothing where members are written, or models of `train`", found))
+}
+
 /// Whether the same command has written this model before, and is done with it.
 pub(super) fn is_finished(member: &Member) -> bool {
     let is_same = |field: HashGrid| {

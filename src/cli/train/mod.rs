@@ -11,7 +11,7 @@ use clap::ValueEnum;
 use glam::{DVec3, Vec3};
 use serde_json::json;
 
-use self::checks::{check_framing, is_finished, note_box, warn_of_one_color};
+use self::checks::{check_framing, check_member, is_finished, note_box, warn_of_one_color};
 use self::member::{Member, state_file};
 use super::files::CommandFiles;
 use super::given::Given;
@@ -19,6 +19,7 @@ use super::options::{
     count, heading, parse_background, parse_box, parse_contraction, parse_resolution, parse_time, parse_views,
 };
 use super::progress::Bars;
+use crate::dataset::passed_over;
 use crate::error::printable;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
 use crate::geometry::{Aabb, Domain, Norm};
@@ -225,6 +226,9 @@ impl Args {
         let [train, held_out] = files.load(bars)?;
         let members = (0..self.members).map(|k| self.member(k, &files, &train)).collect::<Result<Vec<_>>>()?;
         check_framing(&train, &domain)?;
+        if self.members > 1 {
+            members.iter().try_for_each(check_member)?;
+        }
         let mut models = Vec::new();
         for member in &members {
             if self.members > 1 && !self.restart && is_finished(member) {
@@ -237,6 +241,7 @@ impl Args {
     }
 
     fn announce_files(&self, files: &DatasetFiles) {
+        passed_over(&self.dataset, &files.path).inspect(|text| announce!("note: {text}"));
         files.notes.iter().for_each(|text| announce!("note: {}: {}", files.path.display(), printable(text)));
         announce!("note: {}", files.describe());
     }

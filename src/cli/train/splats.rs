@@ -12,8 +12,9 @@ use super::{Args, LOOK_PIXELS};
 use crate::cli::files::CommandFiles;
 use crate::cli::given::Given;
 use crate::cli::progress::Bars;
-use crate::dataset::{image_path, write_inria, write_transforms};
+use crate::dataset::{image_path, inria_text, transforms_text};
 use crate::geometry::{Camera, Domain};
+use crate::io::AtomicFile;
 use crate::io::place::folder_of;
 use crate::session::scaled;
 use crate::train::{
@@ -32,39 +33,47 @@ const TEST: usize = 500 * LOOK_PIXELS;
 const WIDTH: f64 = 1600.0;
 const PIXELS: f64 = 3.9e6;
 
-/// What the comment of a model that was trained here says.
-const MADE_BY: &str = " train --splats";
+/// What the comment begins with by which a model names the files beside it.
+const BESIDE: &str = "checksums of cameras.json and transforms.json: ";
 
 /// What is written beside a model: the cameras as the original code has them, and with all of their lens.
-struct Beside {
-    cameras: PathBuf,
-    transforms: PathBuf,
-}
+struct Beside([(PathBuf, String); 2]);
 
 impl Beside {
-    fn new(model: &Path) -> Self {
-        let folder = folder_of(model);
-        Self { cameras: folder.join("cameras.json"), transforms: folder.join("transforms.json") }
+    /// The paths of both files.
+    fn paths(model: &Path) -> [PathBuf; 2] {
+        ["cameras.json", "transforms.json"].map(|name| folder_of(model).join(name))
     }
 
-    /// Refuses to replace files that no run for this model has left.
-    fn check(&self, model: &Path, state: &Path) -> Result<()> {
-        if is_own(model) || state.exists() {
-            return Ok(());
-        }
-        match [&self.cameras, &self.transforms].into_iter().find(|path| path.exists()) {
-            None => Ok(()),
-            Some(path) => {
+    fn new(model: &Path, shots: &[Shot]) -> Self {
+        let cameras: Vec<(String, Camera)> = shots.iter().map(|shot| (name_of(shot), shot.camera)).collect();
+        let [first, second] = Self::paths(model);
+        Self([(first, inria_text(&cameras)), (second, transforms_text(&cameras))])
+    }
+
+    /// The comment by which the model names both files, to be found again by [`Beside::check`].
+    fn comment(&self) -> String {
+        let [first, second] = self.0.each_ref().map(|(_, text)| crc32fast::hash(text.as_bytes()));
+        format!("{BESIDE}{first:08x} {second:08x}")
+    }
+
+    /// Refuses to replace files other than those that the model at this path names.
+    fn check(model: &Path) -> Result<()> {
+        let named = named_beside(model);
+        for (k, path) in Self::paths(model).into_iter().enumerate() {
+            let Ok(found) = std::fs::read(&path) else { continue };
+            if named.map(|sums| sums[k]) != Some(crc32fast::hash(&found)) {
                 let expected = "a folder without other cameras, as cameras.json and transforms.json are written there";
-                Err(Error::setting("--output", expected, path.display().to_string()))
+                return Err(Error::setting("--output", expected, path.display().to_string()));
             }
         }
+        Ok(())
     }
 
     /// Refuses a folder in which the cameras would find images: those of a camera file with images and without a list
     /// are split, and some of the training views would count as held out.
-    fn check_names(&self, shots: &[Shot]) -> Result<()> {
-        let folder = folder_of(&self.cameras);
+    fn check_names(model: &Path, shots: &[Shot]) -> Result<()> {
+        let folder = folder_of(model);
         let folders = [folder, &folder.join("images")];
         let below = |shot: &Shot| folders.map(|folder| image_path(folder, &name_of(shot)));
         match shots.iter().flat_map(below).find(|path| path.exists()) {
@@ -76,10 +85,8 @@ impl Beside {
         }
     }
 
-    fn write(&self, shots: &[Shot]) -> Result<()> {
-        let cameras: Vec<(String, Camera)> = shots.iter().map(|shot| (name_of(shot), shot.camera)).collect();
-        write_inria(&self.cameras, &cameras)?;
-        write_transforms(&self.transforms, &cameras)
+    fn write(&self) -> Result<()> {
+        self.0.iter().try_for_each(|(path, text)| AtomicFile::write(path, text.as_bytes()))
     }
 }
 
@@ -90,11 +97,14 @@ fn name_of(shot: &Shot) -> String {
     end.map_or_else(|| shot.name.clone(), |end| end.to_string_lossy().into_owned())
 }
 
-/// Whether a `.ply` says that this program trained it.
-fn is_own(model: &Path) -> bool {
+/// The checksums of the files beside a model, as a model that was trained here names them.
+fn named_beside(model: &Path) -> Option<[u32; 2]> {
     let mut start = Vec::new();
-    let read = File::open(model).and_then(|file| file.take(4096).read_to_end(&mut start));
-    read.is_ok() && String::from_utf8_lossy(&start).contains(MADE_BY)
+    File::open(model).ok()?.take(4096).read_to_end(&mut start).ok()?;
+    let start = String::from_utf8_lossy(&start);
+    let mut sums = start.lines().find_map(|line| line.split_once(BESIDE))?.1.split(' ');
+    let mut next = || u32::from_str_radix(sums.next()?, 16).ok();
+    Some([next()?, next()?])
 }
 
 impl Args {
@@ -107,14 +117,12 @@ impl Args {
             let found = model.display().to_string();
             return Err(Error::setting("--output", "a name that ends in .ply, for --splats", found));
         }
-        let beside = Beside::new(model);
         let command_files = |dataset: &Path| {
             let files = CommandFiles::default().output("--output", model);
             let files = files.output("the state of --output", state_file(model));
-            let files = files.output("the cameras of --output", &beside.cameras);
-            files.output("the cameras of --output", &beside.transforms).input("DATASET", dataset)
+            files.outputs("the cameras of --output", Beside::paths(model)).input("DATASET", dataset)
         };
-        beside.check(model, &state_file(model))?;
+        Beside::check(model)?;
         let mut files = DatasetFiles::read(&self.dataset)?;
         let partner = files.path.with_file_name("transforms_test.json");
         command_files(&files.path).input("DATASET", partner).check()?;
@@ -136,7 +144,7 @@ impl Args {
             );
         }
         let [train, held_out] = files.load_at(|camera| self.size(camera), bars)?;
-        beside.check_names(&train)?;
+        Beside::check_names(model, &train)?;
         if train.iter().any(|shot| shot.mask.is_some()) {
             announce!(
                 "note: the cameras beside the model have no masks; pass --cameras {} to `uncertainty`",
@@ -168,14 +176,15 @@ impl Args {
         let finished = self.follow(&run, &mut trainer, before, bars)?;
         self.announce(finished.elapsed, bars);
         let background = settings.background.for_images();
-        let splats = trainer.splats()?;
+        let (splats, beside) = (trainer.splats()?, Beside::new(model, &train));
         let [width, height] = train[0].camera.resolution;
         let comments = [
-            format!("{}{MADE_BY}, {} steps, seed {}", env!("CARGO_PKG_VERSION"), trainer.steps(), self.seed),
+            format!("{} train --splats, {} steps, seed {}", env!("CARGO_PKG_VERSION"), trainer.steps(), self.seed),
             format!("{} images, the first of {width} x {height} pixels; background {background}", train.len()),
+            beside.comment(),
         ];
         splats.write_ply(model, &[], &comments)?;
-        beside.write(&train)?;
+        beside.write()?;
         if finished.interrupted {
             return Err(Error::Stopped { path: model.clone(), steps: trainer.steps() });
         }

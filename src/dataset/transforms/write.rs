@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use crate::Result;
 use crate::geometry::Camera;
-use crate::{Error, Result};
+use crate::io::AtomicFile;
 
 /// Writes cameras, each with the `file_path` of its frame, as a transforms.json for
 /// [`Views::read`](crate::dataset::Views::read) and other tools.
@@ -11,6 +12,12 @@ use crate::{Error, Result};
 /// # Errors
 /// If the file cannot be written.
 pub fn write_transforms(path: &Path, cameras: &[(String, Camera)]) -> Result<()> {
+    AtomicFile::write(path, transforms_text(cameras).as_bytes())
+}
+
+/// What [`write_transforms`] writes.
+#[must_use]
+pub fn transforms_text(cameras: &[(String, Camera)]) -> String {
     let frames: Vec<_> = cameras
         .iter()
         .map(|(name, camera)| {
@@ -27,8 +34,5 @@ pub fn write_transforms(path: &Path, cameras: &[(String, Camera)]) -> Result<()>
             })
         })
         .collect();
-    let mut file = crate::io::AtomicFile::create(path)?;
-    serde_json::to_writer_pretty(&mut file, &serde_json::json!({ "camera_model": "OPENCV", "frames": frames }))
-        .map_err(|e| Error::io(path, "cannot write")(e.into()))?;
-    file.commit()
+    format!("{:#}", serde_json::json!({ "camera_model": "OPENCV", "frames": frames }))
 }

@@ -81,3 +81,37 @@ fn split(row: &mut Row, rng: &mut ChaCha8Rng) -> Row {
     twin[MEAN..MEAN + 3].copy_from_slice(&(mean - away).to_array());
     twin
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Adam's moments belong to a splat: they move with those that stay, and begin at 0 for both of those that came
+    /// from one, whose parameters are new.
+    #[test]
+    fn moments_follow_their_splats_and_begin_anew_where_one_becomes_two() {
+        // The second is transparent; the fourth is asked for most.
+        let logits = [2.0, -9.0, 1.0, 0.5, 3.0];
+        let row = |(k, logit): (f32, f32)| {
+            let mut row = [0.0; WIDTH];
+            (row[MEAN], row[LOGIT - 1], row[LOGIT]) = (k, 1.0, logit);
+            row
+        };
+        let mut rows: Vec<Row> = (0..5_u8).map(f32::from).zip(logits).map(row).collect();
+        let moments = |factor: f32| (1..=5_u8).map(|k| [factor * f32::from(k); WIDTH]).collect::<Vec<Row>>();
+        let (mut means, mut squares) = (moments(1.0), moments(10.0));
+        let mut asked = vec![[1.0, 10.0], [9.0, 1.0], [2.0, 10.0], [8.0, 10.0], [3.0, 10.0]];
+        let crowd = Crowd { rows: &mut rows, means: &mut means, squares: &mut squares, asked: &mut asked };
+        crowd.change(100, 0, 100);
+        // A twelfth of four, rounded up, became two.
+        assert_eq!((rows.len(), rows[0][MEAN], rows[1][MEAN], rows[3][MEAN]), (5, 0.0, 2.0, 4.0));
+        assert!(rows[2][SCALE] == SHRINK && rows[4][SCALE] == SHRINK);
+        assert!((rows[2][MEAN] + rows[4][MEAN] - 6.0).abs() < 1e-5, "on both sides of where it was");
+        assert_eq!(asked, [[0.0; 2]; 5]);
+        for (moments, factor) in [(means, 1.0), (squares, 10.0)] {
+            let found: Vec<f32> = moments.iter().map(|row| row[0]).collect();
+            assert_eq!(found, [1.0, 3.0, 0.0, 5.0, 0.0].map(|k| k * factor));
+            assert!(moments.iter().all(|row| row.iter().all(|entry| *entry == row[0])), "all entries of a splat");
+        }
+    }
+}

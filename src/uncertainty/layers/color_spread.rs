@@ -82,7 +82,8 @@ impl Layer for ColorSpread {
     fn read(head: Value, file: &mut Source) -> Result<Self> {
         let head: Head = file.head(Self::NAME, head)?;
         let contents = (file.section("color points")?, file.section("color spread")?);
-        PointMeans::checked(file.lattice.coarsened(Self::LEVEL), head, contents)
+        // Colours of images are from 0 to 1.
+        PointMeans::checked(file.lattice.coarsened(Self::LEVEL), 1.0, head, contents)
             .map(Self)
             .map_err(|(expected, found)| file.malformed("section `color spread`", expected, found))
     }

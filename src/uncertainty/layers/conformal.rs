@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 use super::super::file::Source;
 use super::{Change, Layer};
 use crate::Result;
+use crate::rays::MAX_RAYS;
 use crate::uncertainty::UncertaintyField;
 
 /// Depth errors of at most `factor` deviations are to be as frequent as `probability`, by split conformal prediction
@@ -38,8 +39,8 @@ impl Layer for Conformal {
     fn read(head: Value, file: &mut Source) -> Result<Self> {
         let head: Self = file.head(Self::NAME, head)?;
         let Self { probability, factor, pixels, views } = head;
-        let is_possible = probability > 0.0 && probability < 1.0 && factor >= 0.0 && factor.is_finite();
-        if is_possible && pixels > 0 && (1..=pixels).contains(&views) {
+        let is_possible = probability > 0.0 && probability < 1.0 && (0.0..=f64::from(f32::MAX)).contains(&factor);
+        if is_possible && (1..=MAX_RAYS).contains(&pixels) && (1..=pixels).contains(&views) {
             return Ok(head);
         }
         let expected = "an interval that a calibration can give";

@@ -185,4 +185,4 @@ layers! {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

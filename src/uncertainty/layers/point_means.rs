@@ -70,9 +70,11 @@ impl PointMeans {
         self.points.capacity() * size_of::<u64>() + self.means.capacity() * size_of::<f32>()
     }
 
-    /// Checks the contents of a file, which are on this lattice; the error names what was expected and found.
+    /// Checks the contents of a file, means of at most `largest` on this lattice; the error names what was expected and
+    /// found.
     pub fn checked(
         lattice: Lattice,
+        largest: f32,
         Head { level, mean }: Head,
         (points, means): (Vec<u64>, Vec<f32>),
     ) -> Result<Self, (String, String)> {
@@ -93,9 +95,8 @@ impl PointMeans {
         if let Some(code) = points.iter().find(|code| !is_inside(code)) {
             return Err((format!("lattice points of level {}", lattice.level()), format!("code {code}")));
         }
-        let is_possible = |mean: &f32| *mean >= 0.0 && mean.is_finite();
-        if let Some(mean) = means.iter().chain([&mean]).find(|mean| !is_possible(mean)) {
-            return Err(("means of squares".into(), mean.to_string()));
+        if let Some(mean) = means.iter().chain([&mean]).find(|mean| !(0.0..=largest).contains(*mean)) {
+            return Err((format!("means of squares, from 0 to {largest:e}"), mean.to_string()));
         }
         Ok(Self { lattice, mean, points, means })
     }
@@ -112,8 +113,9 @@ mod tests {
         let at = [[0, 0, 0], [3, 5, 4], [64, 64, 64]];
         let found = PointMeans::new(lattice, 0.01, at.map(|point| (point, 0.25)));
         let (head, (points, means)) = (found.head(), found.contents());
-        let read =
-            |head, points: &[u64], means: &[f32]| PointMeans::checked(lattice, head, (points.to_vec(), means.to_vec()));
+        let read = |head, points: &[u64], means: &[f32]| {
+            PointMeans::checked(lattice, 0.5, head, (points.to_vec(), means.to_vec()))
+        };
         assert_eq!(read(head, points, means).unwrap(), found);
         let with = |i: usize, code: u64| {
             let mut points = points.to_vec();
@@ -130,6 +132,7 @@ mod tests {
             (head, with(2, u64::MAX), means.to_vec(), "lattice points"),
             (head, points.to_vec(), with_mean(-1.0), "means of squares"),
             (head, points.to_vec(), with_mean(f32::INFINITY), "means of squares"),
+            (head, points.to_vec(), with_mean(0.5 + f32::EPSILON), "means of squares, from 0 to 5e-1"),
         ] {
             let (said, found) = read(head, &points, &means).unwrap_err();
             assert!(said.contains(expected), "{said}, found {found}");

@@ -35,8 +35,9 @@ impl Layer for RayCoverage {
             }
             file.section("counted")?
         } else {
-            let codes = RayCounts::from(file.section::<u8>("ray_coverage")?);
-            codes.iter().map(|n| n.min(u32::MAX.into()) as u32).collect()
+            let codes = file.section::<u8>("ray_coverage")?;
+            file.expect_counts("ray_coverage", &codes)?;
+            RayCounts::from(codes).iter().map(|n| n.min(u32::MAX.into()) as u32).collect()
         };
         let found = counts.len();
         Self::from_counts(&file.lattice, counts).ok_or_else(|| {

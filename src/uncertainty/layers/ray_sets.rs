@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use super::super::file::Source;
 use super::{Layer, Merge};
 use crate::Result;
-use crate::rays::RaySet;
+use crate::rays::{MAX_RAYS, RaySet};
 use crate::uncertainty::UncertaintyField;
 
 impl Layer for Vec<RaySet> {
@@ -21,8 +21,9 @@ impl Layer for Vec<RaySet> {
 
     fn read(head: Value, file: &mut Source) -> Result<Self> {
         let head: Self = file.head(Self::NAME, head)?;
-        if !head.iter().all(|ray_set| ray_set.shard.is_valid()) || !RaySet::are_disjoint(head.iter().copied()) {
-            let found = "an empty part, or two that may have rays in common";
+        let is_possible = |RaySet { shard, .. }: &RaySet| shard.is_valid() && shard.rays <= MAX_RAYS;
+        if !head.iter().all(is_possible) || !RaySet::are_disjoint(head.iter().copied()) {
+            let found = "an empty part, one of more than 2^53 rays, or two that may have rays in common";
             return Err(file.malformed("header, ray sets", "parts of runs, each ray in one of them", found));
         }
         Ok(head)

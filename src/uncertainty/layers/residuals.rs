@@ -89,9 +89,10 @@ impl Residuals {
         Head { squares, length_share }: Head,
         contents: (Vec<u64>, Vec<f32>),
     ) -> std::result::Result<Self, (String, String)> {
-        let squares = PointMeans::checked(of_field.coarsened(Self::LEVEL), squares, contents)?;
-        if !(length_share >= 0.0 && length_share.is_finite()) {
-            return Err(("a share of the longest edge, 0 or more".into(), length_share.to_string()));
+        // Colours of models may be any numbers.
+        let squares = PointMeans::checked(of_field.coarsened(Self::LEVEL), f32::MAX, squares, contents)?;
+        if !(0.0..=1.0).contains(&length_share) {
+            return Err(("a share of the longest edge, 0 to 1".into(), length_share.to_string()));
         }
         Ok(Self { length_share, squares })
     }
@@ -272,7 +273,7 @@ mod tests {
         // A field keeps the share that it was made with.
         let own = read(Head { length_share: 0.3, ..head }).unwrap();
         assert!((own.length() - 0.9).abs() < 1e-12, "{}", own.length());
-        for length_share in [-0.1, f64::NAN, f64::INFINITY] {
+        for length_share in [-0.1, 1.0 + f64::EPSILON, 1e300, f64::NAN, f64::INFINITY] {
             let (said, found) = read(Head { length_share, ..head }).unwrap_err();
             assert!(said.contains("a share of the longest edge"), "{said}, found {found}");
         }

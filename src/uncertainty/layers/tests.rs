@@ -55,7 +55,7 @@ fn field(seed: u64, shard: Shard, is_dense: bool, is_tile: bool) -> UncertaintyF
     field.with_color_spread(color_spread(&lattice)).unwrap()
 }
 
-fn whole() -> UncertaintyField {
+pub(in crate::uncertainty) fn whole() -> UncertaintyField {
     field(0, Shard::whole(3072), false, false)
 }
 

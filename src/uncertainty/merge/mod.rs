@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 pub(super) use parts::Head;
 
 use self::parts::{Part, heads};
-use super::UncertaintyField;
+use super::{TiledField, UncertaintyField};
 use crate::octree::Tile;
 use crate::posterior::VertexSums;
 use crate::rays::RaySet;
@@ -55,13 +55,14 @@ pub fn merge(parts: &[impl Part]) -> Result<UncertaintyField> {
 /// tiles need of each other, and the octree of the whole are ever in memory. Every file is read three times.
 ///
 /// # Errors
-/// As [`merge`], if the files are not of tiles, or if a file cannot be written.
+/// As [`merge`], if the files are not of tiles, if the folder has fields other than finished tiles of these rays, or if a file cannot be written.
 pub fn finish_tiles(parts: &[PathBuf], folder: &Path) -> Result<()> {
     let heads = heads(parts)?;
     let groups = groups(&heads)?;
     if groups.len() < 2 {
         return Err(Error::setting("tiles to merge", "all tiles of a run", "fields of all of space, or of one tile"));
     }
+    check_folder(folder, &heads, &groups)?;
     let tiles = || groups.iter().map(|shards| tile(parts, &heads, shards));
     let mut survey = tiles::Survey::read(tiles())?;
     survey.read_seams(tiles())?;
@@ -71,6 +72,24 @@ pub fn finish_tiles(parts: &[PathBuf], folder: &Path) -> Result<()> {
         field.write(&folder.join(format!("tile-{index:03}-of-{of:03}.oct")))?;
     }
     Ok(())
+}
+
+/// Refuses to write among other fields, which would be replaced or be taken for tiles of this run.
+fn check_folder(folder: &Path, heads: &[Head], groups: &[Vec<usize>]) -> Result<()> {
+    let of: Vec<&Head> = groups[0].iter().map(|&i| &heads[i]).collect();
+    let (lattice, ray_sets) = (of[0].lattice, shards::ray_sets(&of));
+    let is_own = |path: &PathBuf| {
+        UncertaintyField::read_head(path).is_ok_and(|head| {
+            head.tile.is_some() && !head.has_sums && head.lattice == lattice && head.ray_sets == ray_sets
+        })
+    };
+    match TiledField::files(folder)?.into_iter().find(|path| !is_own(path)) {
+        None => Ok(()),
+        Some(path) => {
+            let expected = "no `.oct` but finished tiles of these rays; choose another folder";
+            Err(Error::malformed(&path, "file in --output", expected, "another field"))
+        }
+    }
 }
 
 /// The numbers of the parts that are added up, tile by tile.
