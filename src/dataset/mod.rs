@@ -7,6 +7,7 @@ mod hemisphere;
 mod image;
 mod inria;
 mod intrinsics;
+mod mask_folders;
 mod other_kinds;
 mod pictures;
 mod points;

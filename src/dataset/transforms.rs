@@ -15,6 +15,7 @@ use std::path::Path;
 use self::keys::{PERSPECTIVE, RawFile, RawFrame};
 pub use self::write::write_transforms;
 use super::intrinsics::{Fault, Intrinsics};
+use super::mask_folders::find_masks;
 use super::pictures::{MaskFile, image_path};
 use super::pose::rigid_pose;
 use super::split::Lists;
@@ -177,6 +178,9 @@ pub(super) fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
     let frames: Result<Vec<Frame>> = raw.into_iter().enumerate().map(|(i, raw)| reading.frame(i, raw)).collect();
     let mut frames = frames?;
     notes.extend(listed_twice(&frames));
+    if file.has_mask != Some(false) {
+        notes.extend(find_masks(folder, &mut frames));
+    }
     if let Some(i) = reading.contradiction {
         notes.push(format!(
             "frame {i} states a focal length other than the file's; the frame's is used, as in instant-ngp \

@@ -100,6 +100,8 @@ pub struct DatasetFiles {
     held_out: Vec<Frame>,
     /// Number of frames whose image does not exist.
     pub missing: usize,
+    /// What a user should know of the camera file, a sentence each.
+    pub notes: Vec<String>,
     /// The box that the camera file states, or else instant-ngp's.
     pub bounds: Aabb,
 }
@@ -138,7 +140,9 @@ impl DatasetFiles {
             let expected = "transforms.json, a COLMAP model in sparse/0, or transforms_train.json";
             return Err(Error::malformed(dataset, "data set", expected, "none of them"));
         }
-        let split = FrameSplit::new(Views::read(&path, None)?);
+        let mut views = Views::read(&path, None)?;
+        let notes = std::mem::take(&mut views.notes);
+        let split = FrameSplit::new(views);
         if !split.has_images() {
             return Err(Error::malformed(&path, "`frames`", "images that exist", "none"));
         }
@@ -150,7 +154,7 @@ impl DatasetFiles {
             None => split.matching(Part::HeldOut, all, other_than(&train))?,
         };
         let (bounds, missing) = (scene_box(&path)?, split.missing());
-        Ok(Self { path, split, train, held_out, missing, bounds })
+        Ok(Self { path, split, train, held_out, missing, notes, bounds })
     }
 
     /// Keeps the training images of a selection, taken from one half of the scene (as seen from the middle of the

@@ -19,6 +19,7 @@ use super::options::{
     count, heading, parse_background, parse_box, parse_contraction, parse_resolution, parse_time, parse_views,
 };
 use super::progress::Bars;
+use crate::error::printable;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
 use crate::geometry::{Aabb, Domain, Norm};
 use crate::monitor::Monitor;
@@ -215,6 +216,7 @@ impl Args {
         let mut files = DatasetFiles::read(&self.dataset)?;
         self.command_files(&files.path).input("DATASET", files.path.with_file_name("transforms_test.json")).check()?;
         files.select(&self.views.clone().unwrap_or_default(), None)?;
+        files.notes.iter().for_each(|note| announce!("note: {}", printable(note)));
         announce!("note: {}", files.describe());
         let domain = self.domain(&files)?;
         if let Domain::Box(bounds) = domain {

@@ -13,6 +13,7 @@ use crate::cli::files::CommandFiles;
 use crate::cli::given::Given;
 use crate::cli::progress::Bars;
 use crate::dataset::{image_path, write_inria, write_transforms};
+use crate::error::printable;
 use crate::geometry::{Camera, Domain};
 use crate::io::place::folder_of;
 use crate::splats::SplatRenderer;
@@ -112,6 +113,7 @@ impl Args {
         let partner = files.path.with_file_name("transforms_test.json");
         command_files(&files.path).input("DATASET", partner).check()?;
         files.select(&self.views.clone().unwrap_or_default(), None)?;
+        files.notes.iter().for_each(|note| announce!("note: {}", printable(note)));
         announce!("note: {}", files.describe());
         let mut points = files.points()?;
         points.retain(|point| self.bounds.is_none_or(|bounds| bounds.contains(point.position.as_vec3())));

@@ -19,6 +19,7 @@ use super::intrinsics::{Fault, Intrinsics};
 use super::split::Lists;
 use super::transforms::{SIZES, size};
 use super::views::{Frame, ResolutionSource, Views};
+use crate::dataset::mask_folders::find_masks;
 use crate::dataset::pictures::{MaskFile, image_path};
 use crate::geometry::Camera;
 use crate::{Error, Result};
@@ -268,9 +269,11 @@ impl ModelFiles {
         };
         let mut frames = images.into_iter().map(frame).collect::<Result<Vec<Frame>>>()?;
         frames.iter_mut().enumerate().for_each(|(i, frame)| frame.index = i);
+        let around = folder.parent().filter(|_| folder.ends_with("images"));
+        let notes = find_masks(around.unwrap_or(&folder), &mut frames);
         lists_beside(&folder)?.apply(path, Path::new(""), &mut frames)?;
         let resolution_source = requested.map_or(ResolutionSource::File, |_| ResolutionSource::Requested);
-        Ok(Views { path: path.to_path_buf(), frames, resolution_source, notes: Vec::new() })
+        Ok(Views { path: path.to_path_buf(), frames, resolution_source, notes })
     }
 
     /// The folder that holds the pictures: `images` beside the model or further up, or else the model's own.
