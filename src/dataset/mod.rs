@@ -7,6 +7,7 @@ mod hemisphere;
 mod image;
 mod inria;
 mod intrinsics;
+mod mask_folders;
 mod nerfstudio;
 mod other_kinds;
 mod pictures;

@@ -17,6 +17,7 @@ use serde_json::Value;
 use self::keys::{PERSPECTIVE, RawFile, RawFrame};
 pub use self::write::{transforms_text, write_transforms};
 use super::intrinsics::{Fault, Intrinsics};
+use super::mask_folders::find_masks;
 use super::pictures::{MaskFile, SMALLER, image_path, image_path_in, note_of_smaller};
 use super::pose::rigid_pose;
 use super::sizes::Head;
@@ -223,6 +224,9 @@ pub(super) fn read(path: &Path, chosen: Option<&str>, requested: Option<[u32; 2]
     let frames: Result<Vec<Frame>> = raw.into_iter().enumerate().map(|(i, raw)| reading.frame(i, raw)).collect();
     let mut frames = frames?;
     notes.extend(listed_twice(&frames));
+    if file.has_mask != Some(false) {
+        notes.extend(find_masks(folder, &mut frames));
+    }
     if let Some(i) = reading.contradiction {
         notes.push(format!(
             "frame {i} states a focal length other than the file's; the frame's is used, as in instant-ngp \

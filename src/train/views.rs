@@ -129,8 +129,9 @@ impl DatasetFiles {
             let expected = "transforms.json, a COLMAP model in sparse/0, or transforms_train.json";
             return Err(Error::malformed(dataset, "data set", expected, "none of them"));
         }
-        let views = Views::read(&path, None)?;
-        let (path, notes, places) = (views.path.clone(), views.notes.clone(), views.places());
+        let mut views = Views::read(&path, None)?;
+        let places = views.places();
+        let (path, notes) = (views.path.clone(), std::mem::take(&mut views.notes));
         let split = FrameSplit::new(views);
         if !split.has_images() {
             let folder = if path.is_dir() { &path } else { folder_of(&path) };

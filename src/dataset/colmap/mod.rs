@@ -19,6 +19,7 @@ use super::intrinsics::{Fault, Intrinsics};
 use super::split::Lists;
 use super::transforms::{SIZES, size};
 use super::views::{Frame, ResolutionSource, Views};
+use crate::dataset::mask_folders::find_masks;
 use crate::dataset::pictures::{MaskFile, SMALLER, image_path, note_of_smaller, scene_of};
 use crate::geometry::Camera;
 use crate::{Error, Result};
@@ -251,7 +252,7 @@ impl ModelFiles {
         let folders = self.picture_folders(path);
         let holds = |folder: &&PathBuf| images.iter().any(|image| image_path(folder, &image.name).is_file());
         let folder = folders.iter().find(holds).unwrap_or(&folders[0]);
-        let notes = note_of_smaller(folder).filter(|_| folders.len() > 1).into_iter().collect();
+        let mut notes: Vec<String> = note_of_smaller(folder).filter(|_| folders.len() > 1).into_iter().collect();
         let frame = |image: RawImage| {
             let at = |what: &str| format!("image `{}`, {what}", image.name);
             let raw = cameras.get(&image.camera).ok_or_else(|| {
@@ -276,6 +277,8 @@ impl ModelFiles {
         };
         let mut frames = images.into_iter().map(frame).collect::<Result<Vec<Frame>>>()?;
         frames.iter_mut().enumerate().for_each(|(i, frame)| frame.index = i);
+        let around = folder.parent().filter(|_| scene_of(folder).is_some());
+        notes.extend(find_masks(around.unwrap_or(folder), &mut frames));
         lists_beside(folder)?.apply(path, Path::new(""), &mut frames)?;
         let resolution_source = requested.map_or(ResolutionSource::File, |_| ResolutionSource::Requested);
         Ok(Views { path: path.to_path_buf(), frames, resolution_source, notes })
