@@ -12,6 +12,7 @@ mod mask;
 mod named;
 mod poses;
 mod ray;
+mod upright;
 
 pub use aabb::Aabb;
 #[cfg(feature = "files")]
@@ -27,3 +28,4 @@ pub use mask::{Mask, kept_pixels};
 pub use named::NamedCamera;
 pub use poses::{inverted, opencv};
 pub use ray::Ray;
+pub use upright::upright;

@@ -49,7 +49,9 @@ impl<'a> Objective<'a> {
     /// The gain of what rays add, vertex by vertex.
     pub fn worth(&self, added: &[Added]) -> f64 {
         let Some(precision) = self.precision else { return 0.0 };
-        added.iter().map(|added| (self.of_vertex)(&self.now(precision, added), &added.precision)).sum()
+        let worth = |added: &Added| (self.of_vertex)(&self.now(precision, added), &added.precision);
+        // The sum of no numbers is -0.0.
+        0.0 + added.iter().map(worth).sum::<f64>()
     }
 
     /// The gain of a view.
