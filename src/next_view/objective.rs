@@ -65,7 +65,7 @@ impl<'a> Objective<'a> {
     /// Share of the view's surface that was never seen.
     pub fn unseen_share(&self, evidence: &Evidence) -> Option<f64> {
         let ray_coverage = self.ray_coverage?;
-        evidence.unseen_share(|cell| ray_coverage.counts()[cell] > 0 || self.seen.contains(&cell))
+        evidence.unseen_share(|cell| ray_coverage.is_reached(cell) || self.seen.contains(&cell))
     }
 
     /// Takes a view.

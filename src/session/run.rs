@@ -267,7 +267,7 @@ impl Prepared<'_> {
     pub fn finish(self, tell: &mut dyn FnMut(Remark)) -> Result<Finished> {
         // Before the rays, so that a wrong image ends the work at once.
         let compared = self.compared()?;
-        let Self { session, run, start, step, audit, .. } = self;
+        let Self { session, model, monitor, run, start, step, audit, .. } = self;
         let rays = run.rays();
         if session.checkpoint.as_ref().is_some_and(|checkpoint| !checkpoint.is_restart()) {
             session.note_progress(rays, "--restart discards them", tell);
@@ -303,6 +303,9 @@ impl Prepared<'_> {
             None => field,
         };
         checks::field(&field, session.grid.pooling, tell);
+        if let Subject::Splats(splats) = model {
+            checks::unseen(splats, &field, &session.cameras, monitor, tell)?;
+        }
         Ok(Finished {
             field,
             errors,
