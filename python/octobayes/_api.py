@@ -619,9 +619,10 @@ def splat_columns(
 ) -> dict[str, np.ndarray]:
     """What :func:`export` writes beside each splat, as arrays ``[n]``.
 
-    Returns 'uncertainty' (U at the centre; of a u of scale='data' in scene units) and 'log10_uncertainty'; and with the
-    training ``cameras`` 'weight' (sum of the splat's shares of about ``pixels`` pixels that were looked at, 0 is never
-    seen) and 'views' (training views in which its share of one of these pixels exceeds 0.05).
+    Returns 'uncertainty' (U at the centre; of a u of scale='data' in scene units), 'log10_uncertainty' and, if u knows
+    where rays passed, 'seen' (0 never seen, 1 free, 2 constrained, as ``u.seen``); and with the training ``cameras``
+    'weight' (sum of the splat's shares of about ``pixels`` pixels that were looked at) and 'views' (training views in
+    which its share of one of these pixels exceeds 0.05).
     """
     u = _field("u", u)
     splats = _opened(splats, cameras, u)
@@ -629,6 +630,9 @@ def splat_columns(
         raise wrong("splats", "Gaussian splats, or a file of these", splats)
     uncertainty = u.query(splats.means)
     columns = {"uncertainty": uncertainty, "log10_uncertainty": np.log10(uncertainty)}
+    if u.ray_coverage is not None:
+        known = u.seen(splats.means)
+        columns["seen"] = np.select([known == "constrained", known == "free"], [2.0, 1.0], 0.0)
     if cameras is not None:
         rows = _training_cameras(splats, cameras, views, resolution, None).rows
         options = {

@@ -31,6 +31,7 @@ def next_view(
     sphere: int | None = None,
     upper: bool = False,
     orbit: int | None = None,
+    up: Any = None,
     take: int = DEFAULT.take,
     gain: str = DEFAULT.gain,
     pixels: int = DEFAULT.view_pixels,
@@ -55,7 +56,8 @@ def next_view(
     the lens and the size of the first training camera; or cameras as :func:`uncertainty` takes them, of a file all
     frames. Without candidates they are made: ``sphere`` of them around the middle of u's box (``upper``: over the upper
     half), or ``orbit`` on a level circle, as far away as the training cameras are and with their lens; those that stand
-    in matter are left out. ``cameras``, ``views``, ``resolution`` and ``fov`` give the training cameras as in
+    in matter are left out. ``up``: what is up for them, a direction ``[3]``; by default what is level in the training
+    cameras. ``cameras``, ``views``, ``resolution`` and ``fov`` give the training cameras as in
     :func:`uncertainty`; they are read only where they count: for poses, for candidates that are made, and for
     'coverage'. ``resolution`` is the candidates' image size, too.
 
@@ -88,6 +90,8 @@ def next_view(
         raise wrong("candidates", "candidates, sphere or orbit, one of them", " and ".join(ways) or "none")
     if flag("upper", upper) and sphere is None:
         raise wrong("upper", "sphere beside it", "none")
+    if up is not None and candidates is not None:
+        raise wrong("up", "sphere or orbit beside it", "candidates")
     are_poses = candidates is not None and not _are_cameras(candidates)
     training = None
     if are_poses or candidates is None or gain == "coverage":
@@ -101,6 +105,7 @@ def next_view(
     options = {
         **{name: None if count is None else whole(name, count, 1, MOST) for name, count in made.items()},
         "upper": upper,
+        "up": None if up is None else floats("up", up, (3,), np.float64).tolist(),
         "names": [] if given is None else given.names,
         "file": os.fspath(candidates) if isinstance(candidates, (str, os.PathLike)) else None,
         "take": whole("take", take, 1, MOST),

@@ -4,13 +4,14 @@ use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::evaluate::Remark;
+use octobayes::glam::DVec3;
 use octobayes::next_view::{Around, GainMap, Made, NextView, Report, Settings};
 use octobayes::session::Candidates;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::json;
 
-use crate::errors::{Said, said};
+use crate::errors::{OrRaise, Said, said};
 use crate::field::Uncertainty;
 use crate::options::{NUMBERS, Options, cameras, numbers};
 use crate::run::Source;
@@ -47,6 +48,10 @@ pub fn next_view<'py>(
         .seed(options.or("seed", defaults.seed)?)
         .occupancy(options.or("occupancy", defaults.occupancy)?);
     let is_mapped = options.or("map", false)?;
+    let up = options.get::<[f64; 3]>("up")?.map(DVec3::from);
+    if is_mapped {
+        settings.gain.check_map().or_raise()?;
+    }
     let field = uncertainty.get().field.clone();
     let (report, views, map, texts) = work(py, source.gate(nerf), progress, move |engine| {
         source.with(engine, |model| {
@@ -54,7 +59,7 @@ pub fn next_view<'py>(
             let (names, views) = match (given, made) {
                 (Some(views), _) => (names, views),
                 (None, made) => {
-                    let around = Around::like(&training, field.lattice().domain())?;
+                    let around = Around::like(&training, field.lattice().domain(), up)?;
                     let (names, views, buried) = made.cameras(&around, &model, field.record().march_step);
                     if buried > 0 {
                         let kind = made.kind();

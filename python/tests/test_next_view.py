@@ -117,6 +117,14 @@ def test_candidates_are_made_for_every_gain(gain, courtyard, front, known):
         assert found["candidates"][0]["name"] == f"{kind} 0"
 
 
+def test_made_candidates_are_level(courtyard, front, known):
+    for given, up in ((None, [0, 0, 1]), ([0, -3, 4], [0, -0.6, 0.8])):
+        found = ob.next_view(courtyard, known, orbit=6, take=6, up=given, cameras=front, **QUIET)
+        heights = found["poses"][:, :3, 3] @ np.array(up)
+        assert len(heights) > 2 and np.ptp(heights) < 1e-9
+        assert np.abs(found["poses"][:, :3, 0] @ np.array(up)).max() < 1e-9
+
+
 def test_views_of_nothing_say_why(courtyard, front, known):
     away = look_at(np.array([3.0, 0.0, 0.0]))
     away[:3, [0, 2]] *= -1
@@ -144,6 +152,9 @@ def test_what_cannot_be_ranked_is_refused_by_name(courtyard, front, known, field
         ({"orbit": 3, "upper": True}, "^upper: expected sphere beside it"),
         ({"candidates": np.zeros((2, 5))}, r"^candidates: expected an array of poses \[C, 4, 4\] or \[C, 3, 4\]"),
         ({"candidates": np.full((1, 4, 4), np.nan)}, "^candidates: expected finite numbers"),
+        ({"orbit": 3, "up": [0, 0, 0]}, "^up: expected a direction, such as 0,0,1, found 0,0,0"),
+        ({"orbit": 3, "up": [0, 1]}, r"^up: expected an array of real numbers of shape \[3\]"),
+        ({"candidates": poses, "up": [0, 0, 1]}, "^up: expected sphere or orbit beside it, found candidates"),
         ({"orbit": 0}, "^orbit: expected a whole number, 1 to 100000"),
         ({"orbit": 3, "gain": "entropy"}, "^gain: expected .*'logdet'.*found 'entropy'"),
         ({"orbit": 3, "gain": "coverage", "map": True}, "^map: expected a gain of"),

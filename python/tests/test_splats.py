@@ -120,13 +120,15 @@ def test_pictures_show_splats_and_what_is_left_of_them(splats, field):
 
 def test_columns_are_those_of_the_file(splats, field, tmp_path):
     columns = ob.splat_columns(splats, field, CAMERAS, progress=False)
-    assert list(columns) == ["uncertainty", "log10_uncertainty", "weight", "views"]
-    assert list(ob.splat_columns(splats, field)) == ["uncertainty", "log10_uncertainty"]
+    assert list(columns) == ["uncertainty", "log10_uncertainty", "seen", "weight", "views"]
+    assert list(ob.splat_columns(splats, field)) == ["uncertainty", "log10_uncertainty", "seen"]
     assert (columns["uncertainty"] == field.query(splats.means)).all()
     towards = splats.means @ np.float32([0.7, 0.5, 0.2])
     front, back = towards > 0.4, towards < -0.4
     assert columns["weight"][front].mean() > 20 * columns["weight"][back].mean()
     assert columns["views"][front].mean() > 3.5 > 3 > columns["views"][back].mean()
+    assert (columns["seen"][front] > 0).all() and (columns["seen"][back] == 0).mean() > 0.7
+    assert ((field.seen(splats.means) == "unseen") == (columns["seen"] == 0)).all()
     out = tmp_path / "scene-u.ply"
     ob.export(field, out, splats, CAMERAS, progress=False)
     plyfile = pytest.importorskip("plyfile")
@@ -135,12 +137,12 @@ def test_columns_are_those_of_the_file(splats, field, tmp_path):
     for name, values in columns.items():
         assert np.allclose(vertices[name], values, rtol=1e-6), name
     assert (np.stack([vertices[axis] for axis in "xyz"], 1) == splats.means).all()
-    # Without cameras two columns, and with a threshold fewer splats.
+    # Without cameras three columns, and with a threshold fewer splats.
     ob.export(field, out, splats, threshold="80%", progress=False)
     left = ob.open_model(out)
     assert N / 10 < len(left) < N
     most = np.log10(field.query(left.means)).max()
-    assert (columns["log10_uncertainty"] <= most).sum() == len(left)
+    assert ((columns["log10_uncertainty"] <= most) & (columns["seen"] > 0)).sum() == len(left)
 
 
 @pytest.fixture(scope="module")

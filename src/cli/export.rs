@@ -34,8 +34,8 @@ use crate::{Error, Result};
 ///
 /// With the model and its training cameras:
 ///
-///   .ply  of splats: the splats with columns uncertainty, log10_uncertainty and, with --cameras, weight and views;
-///         with --threshold only those that stay
+///   .ply  of splats: the splats with columns uncertainty, log10_uncertainty, seen and, with --cameras, weight and
+///         views; with --threshold only those that stay
 ///   .ply  points on the surfaces that the cameras see: colour, normal, log10 U, sigma, rays
 ///   .ply  with --mesh, the surface as triangles with the same
 ///   .csv  per camera and per region: share of surfaces never seen, quantiles of sigma

@@ -13,7 +13,7 @@ use crate::{Error, Result};
 /// All files that a command reads and writes, by the names of their options.
 ///
 /// A file that is read and written by design, such as the checkpoint of a resumed run, is an output.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct CommandFiles {
     inputs: Vec<(String, PathBuf)>,
     outputs: Vec<(String, PathBuf)>,
@@ -38,10 +38,15 @@ impl CommandFiles {
         self.inputs("--cameras", files)
     }
 
-    /// Adds the images of a camera file.
+    /// Adds the images of the file of --cameras.
     pub fn images(self, views: &Views) -> Self {
+        self.images_of("--cameras", views)
+    }
+
+    /// Adds the images of the camera file of an option.
+    pub fn images_of(self, option: &str, views: &Views) -> Self {
         let images = views.frames.iter().map(|frame| &frame.image).filter(|image| !image.as_os_str().is_empty());
-        self.inputs("an image of --cameras", images)
+        self.inputs(&format!("an image of {option}"), images)
     }
 
     /// Adds a file to write.

@@ -3,11 +3,14 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, FrameOptions, ModelArgument, count, heading, of_folder};
+use super::options::{
+    CameraOptions, FrameOptions, ModelArgument, count, heading, of_folder, parse_direction,
+};
 use super::progress::Bars;
 use super::streams::tell;
 use crate::dataset::{Part, Views, write_transforms};
@@ -65,7 +68,7 @@ pub struct Args {
     )]
     sphere: Option<u32>,
 
-    /// Only the upper half of --sphere, where up is that of the training cameras
+    /// Only the upper half of --sphere
     #[arg(long, requires = "sphere", conflicts_with = "orbit", help_heading = heading::INPUT)]
     upper: bool,
 
@@ -78,6 +81,18 @@ pub struct Args {
         help_heading = heading::INPUT,
     )]
     orbit: Option<u32>,
+
+    /// What is up for --orbit and --sphere, a direction in scene units [default: as the training cameras were held]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_parser = parse_direction,
+        allow_hyphen_values = true,
+        conflicts_with = "candidates",
+        help_heading = heading::INPUT,
+        hide_short_help = true,
+    )]
+    up: Option<DVec3>,
 
     #[command(flatten)]
     cameras: CameraOptions,
@@ -153,12 +168,14 @@ impl Args {
         files.check()?;
         if let Some(path) = &self.map {
             is_exr(path)?;
+            self.gain.check_map()?;
         }
         let field = OpenedField::open(&self.field)?.whole()?;
         let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
-        let counts = self.candidates.is_none() || self.gain == Gain::Coverage;
-        let training = if counts { self.training(&opened)? } else { Vec::new() };
-        let candidates = self.candidates(&opened, &field, &training)?;
+        // Cameras that are given are read even if they do not count, for the images that no output may replace.
+        let counts = self.candidates.is_none() || self.gain == Gain::Coverage || self.cameras.cameras.is_some();
+        let training = if counts { self.training(&opened, &files)? } else { Vec::new() };
+        let candidates = self.candidates(&opened, &field, &training, &files)?;
         let settings = Settings::default().take(self.take as usize).gain(self.gain);
         let settings = settings.pixels(self.pixels).seed(self.seed);
         let next = NextView::of(opened.model.subject(), &field, &candidates.cameras)
@@ -193,23 +210,31 @@ impl Args {
     }
 
     /// The training cameras, of --cameras or the model's own.
-    fn training(&self, opened: &OpenedModel) -> Result<Vec<Camera>> {
+    fn training(&self, opened: &OpenedModel, files: &CommandFiles) -> Result<Vec<Camera>> {
         let cameras = self.cameras.training(&FrameOptions { views: None }, opened.model.field(), &opened.name)?;
+        files.clone().images(&cameras.views).check()?;
         Ok(cameras.views.cameras())
     }
 
-    fn candidates(&self, opened: &OpenedModel, field: &UncertaintyField, training: &[Camera]) -> Result<Candidates> {
+    fn candidates(
+        &self,
+        opened: &OpenedModel,
+        field: &UncertaintyField,
+        training: &[Camera],
+        files: &CommandFiles,
+    ) -> Result<Candidates> {
         let made = match (&self.candidates, self.sphere, self.orbit) {
             (Some(path), ..) => {
                 let source = CameraSource { file: Some(path.clone()), fov: None, resolution: self.cameras.resolution };
                 let views = source.read(None, &mut tell)?;
+                files.clone().images_of("--candidates", &views).check()?;
                 let (names, cameras) = views.frames.into_iter().map(|frame| (frame.name, frame.camera)).unzip();
                 return Ok(Candidates { names, cameras });
             }
             (None, Some(count), _) => Made::Sphere { count, is_upper: self.upper },
             (None, None, count) => Made::Orbit { count: count.unwrap_or(1) },
         };
-        let around = Around::like(training, field.lattice().domain())?;
+        let around = Around::like(training, field.lattice().domain(), self.up)?;
         let (names, cameras, buried) = made.cameras(&around, &opened.model.subject(), field.record().march_step);
         if buried > 0 {
             announce!("note: {buried} cameras of --{} stand in matter and are left out", made.kind());

@@ -45,7 +45,9 @@ pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges, unknown: &[O
         panels.push(scalar_panel(&title, view.resolution, shown, bar));
     }
     if let Some(log10) = view.log10_uncertainty.first() {
-        let shown = shown_log10(view, log10, unknown);
+        // What was never seen has the colour of it, whatever lies in front of it or shines through.
+        let color = |(u, why): (f64, &Option<Unknown>)| if *why == Some(Unknown::Unseen) { ranges.prior } else { u };
+        let shown = shown_log10(view, log10, unknown).into_iter().zip(unknown).map(color);
         let bar = Bar::new(ranges.log10, colorous::INFERNO).meaning(CONSTRAINED, ranges.prior, "never seen");
         let outside = if unknown.contains(&Some(Unknown::Outside)) { "; grey: outside the box" } else { "" };
         let title = format!("{} (hatched: never seen{outside})", ranges.quantity);
@@ -69,4 +71,32 @@ pub fn error_range<'a>(views: impl IntoIterator<Item = &'a RenderedView>) -> [f6
     let mut errors: Vec<f64> = seen.map(|(s, _)| *s).collect();
     errors.sort_unstable_by(f64::total_cmp);
     [0.0, if errors.is_empty() { 1.0 } else { quantile(&errors, 0.95) }]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::Pixel;
+
+    #[test]
+    fn what_was_never_seen_has_the_colour_of_it() {
+        let pixels = vec![Pixel { opacity: 1.0, ..Pixel::default() }; 4];
+        let (resolution, log10_uncertainty) = ([4, 1], vec![vec![2.0; 4]]);
+        let view = RenderedView { resolution, pixels, log10_uncertainty, ..RenderedView::default() };
+        let ranges = Ranges {
+            depth: [0.0, 1.0],
+            error: [0.0, 1.0],
+            conformal: None,
+            log10: [2.0, 5.0],
+            prior: 5.0,
+            quantity: "log10 U",
+        };
+        let panels = view_panels(&view, "x", ranges, &[None, None, None, Some(Unknown::Unseen)]);
+        let image = &panels.last().unwrap().image;
+        let ends = [0, 255].map(|i| colorous::INFERNO.eval_rational(i, 256).as_array());
+        // The last pixel lies between two lines of the hatching.
+        let far = |a: [u8; 3], b: [u8; 3]| (0..3).map(|k| a[k].abs_diff(b[k])).max().unwrap();
+        let found = [2, 3].map(|x| image.get_pixel(x, 0).0);
+        assert!(far(found[0], ends[0]) < 8 && far(found[1], ends[1]) < 8, "{found:?} {ends:?}");
+    }
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use super::leaves::code;
 use crate::Result;
 use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
@@ -81,8 +82,9 @@ impl SeenSplats {
     }
 }
 
-/// Writes splats with the columns `uncertainty` and `log10_uncertainty` of their centres and, if views were looked at,
-/// `weight` and `views`. With a threshold, those above it are left out. Returns the number of splats in the file.
+/// Writes splats with the columns `uncertainty` and `log10_uncertainty` of their centres, `seen` if the field has ray
+/// coverage and, if views were looked at, `weight` and `views`. With a threshold, those above it and those never seen
+/// are left out. Returns the number of splats in the file.
 ///
 /// # Errors
 /// If the field cannot be read, no splat is left, or the file cannot be written.
@@ -100,7 +102,8 @@ pub fn write_splats(
     let left = threshold.map(|_| splats.clone().keep(&kept)).transpose()?;
     let left = left.as_ref().unwrap_or(splats);
     let means: &[Vec3] = left.means();
-    let uncertainty: Vec<f64> = field.estimates(means)?.iter().map(|at| at.uncertainty).collect();
+    let answers = field.answers(means)?;
+    let uncertainty: Vec<f64> = answers.iter().map(|at| at.estimate.uncertainty).collect();
     let of_kept =
         |values: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..splats.len()).filter(|&i| kept[i]).map(values).collect() };
     let record = field.record();
@@ -117,16 +120,24 @@ pub fn write_splats(
         ("uncertainty", uncertainty.iter().map(|&u| u as f32).collect()),
         ("log10_uncertainty", uncertainty.iter().map(|u| u.log10() as f32).collect()),
     ];
+    if answers.iter().any(|at| at.observability.is_some()) {
+        columns.push(("seen", answers.iter().map(|at| f32::from(code(at.observability))).collect()));
+        comments.push(format!(
+            "octobayes {version} seen = 0: no training ray came to the centre with half of its light; 1: rays passed; \
+             2: moving it changes training pixels"
+        ));
+    }
     if let Some(SeenSplats { weights, views, pixels: [looked_at, all], .. }) = seen {
         columns.push(("weight", of_kept(&|i| weights[i] as f32)));
         columns.push(("views", of_kept(&|i| views[i] as f32)));
         comments.push(format!(
-            "octobayes {version} weight = sum of the splat's shares of {looked_at} of {all} training pixels, 0 = never \
-             seen; views = training views with a share above {SEEN}"
+            "octobayes {version} weight = sum of the splat's shares of {looked_at} of {all} training pixels; views \
+             = training views with a share above {SEEN}"
         ));
     }
     if let Some(threshold) = threshold {
-        comments.push(format!("octobayes {version} without splats of log10_uncertainty above {threshold}"));
+        comments
+            .push(format!("octobayes {version} without splats of log10_uncertainty above {threshold}, or never seen"));
     }
     let columns: Vec<(&str, &[f32])> = columns.iter().map(|(name, values)| (*name, &values[..])).collect();
     left.write_ply(path, &columns, &comments)?;

@@ -12,6 +12,7 @@ mod mask;
 mod named;
 mod poses;
 mod ray;
+mod upright;
 
 pub use aabb::Aabb;
 #[cfg(feature = "files")]
@@ -29,3 +30,4 @@ pub(crate) use mask::{covered, nearest};
 pub use named::NamedCamera;
 pub use poses::{inverted, opencv};
 pub use ray::Ray;
+pub use upright::upright;

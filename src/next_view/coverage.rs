@@ -47,7 +47,8 @@ impl Coverage {
             let w = facet.observed();
             0.5 * w.dot(self.of(facet.cell) * w).ln_1p()
         };
-        facets.iter().map(worth).sum()
+        // The sum of no numbers is -0.0.
+        0.0 + facets.iter().map(worth).sum::<f64>()
     }
 
     /// Adds a view (Sherman & Morrison 1950).
@@ -83,6 +84,7 @@ mod tests {
         assert!((same - 0.5 * (1.0 + 1.0 / 1.1_f64).ln()).abs() < 1e-12, "{same}");
         assert!((opposite - never).abs() < 1e-12, "{opposite}");
         assert!((coverage.gain(&[facet(4, DVec3::X)]) - never).abs() < 1e-12, "another cell");
+        assert!(coverage.gain(&[]).is_sign_positive(), "nothing is 0, and not -0");
     }
 
     /// By the matrix determinant lemma gains add up to ½ log det(G / ε), whatever the order.

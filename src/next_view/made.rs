@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::look::in_matter;
 use crate::estimate::Subject;
-use crate::geometry::{Camera, Domain};
+use crate::geometry::{Camera, Domain, upright};
 use crate::{Error, Result};
 
 /// Cameras around the middle of a domain, with the lens of one that there is.
@@ -24,11 +24,11 @@ pub struct Around {
 
 impl Around {
     /// Around the middle of `domain`, as `cameras` are: their first one's lens, their median distance and elevation,
-    /// upright as they are on average.
+    /// and their upright unless `up` is given.
     ///
     /// # Errors
-    /// If there is no camera, or all of them stand in the middle.
-    pub fn like(cameras: &[Camera], domain: &Domain) -> Result<Self> {
+    /// If there is no camera, all of them stand in the middle, or as [`upright`].
+    pub fn like(cameras: &[Camera], domain: &Domain, up: Option<DVec3>) -> Result<Self> {
         let Some(&lens) = cameras.first() else {
             return Err(Error::setting("cameras", "at least one, whose lens the candidates get", "none"));
         };
@@ -41,8 +41,7 @@ impl Around {
             values.sort_by(f64::total_cmp);
             values[values.len() / 2]
         };
-        let mean = cameras.iter().map(|camera| camera.axes.y_axis).sum::<DVec3>();
-        let up = mean.try_normalize().unwrap_or(DVec3::Z);
+        let up = upright(cameras, up)?;
         let distance = median(&|camera| camera.position.distance(middle));
         if !(distance > 0.0 && distance.is_finite()) {
             let found = format!("a median distance of {distance:e}");
@@ -124,5 +123,36 @@ impl Made {
         let names = (0..free.len()).map(|k| format!("{} {k}", self.kind())).collect();
         let buried = cameras.len() - free.len();
         (names, free, buried)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Aabb;
+
+    #[test]
+    fn candidates_are_level_and_as_far_away_as_most_cameras_are() {
+        let up = DVec3::new(0.0, -0.6, 0.8);
+        let right = up.any_orthonormal_vector();
+        let standing = |azimuth: f64, distance: f64| {
+            let level = azimuth.cos() * right + azimuth.sin() * up.cross(right);
+            let eye = distance * (0.8 * level + 0.6 * up);
+            Camera::look_at(eye, DVec3::ZERO, up, 0.7, [8, 6])
+        };
+        // On one side, looking down; one of them far away.
+        let cameras = [(0.0, 2.0), (0.4, 2.1), (0.8, 1.9), (1.2, 2.05), (1.6, 30.0)].map(|(a, d)| standing(a, d));
+        let domain = Domain::Box(Aabb::centered_cube(1.0));
+        let around = Around::like(&cameras, &domain, None).unwrap();
+        assert!(around.up.angle_between(up).to_degrees() < 1e-6, "{around:?}");
+        assert!((around.distance - 2.05).abs() < 1e-12 && (around.sine - 0.6).abs() < 1e-12, "{around:?}");
+        for camera in around.orbit(7) {
+            assert!((camera.position.dot(up) - 0.6 * 2.05).abs() < 1e-12, "at the height of the others");
+            assert!(camera.axes.x_axis.dot(up).abs() < 1e-12 && camera.axes.y_axis.dot(up) > 0.0, "level");
+        }
+        assert!(around.sphere(60, true).iter().all(|camera| camera.position.dot(up) > 0.0), "the upper half");
+        let other = Around::like(&cameras, &domain, Some(DVec3::new(0.0, 0.0, 3.0))).unwrap();
+        assert_eq!(other.up, DVec3::Z);
+        assert!(Around::like(&[], &domain, None).unwrap_err().to_string().starts_with("cameras"));
     }
 }

@@ -94,6 +94,18 @@ impl Gain {
             Self::Coverage => "coverage",
         }
     }
+
+    /// Refuses a gain of which pixels have no part.
+    ///
+    /// # Errors
+    /// For [`Gain::Coverage`], which is no sum over pixels.
+    pub fn check_map(self) -> crate::Result<()> {
+        if self == Self::Coverage {
+            let expected = "a gain of `logdet` or `trace`, which pixels have";
+            return Err(crate::Error::setting("map", expected, "`coverage`"));
+        }
+        Ok(())
+    }
 }
 
 /// Which gains are found anew after a view was taken.

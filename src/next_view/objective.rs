@@ -49,7 +49,9 @@ impl<'a> Objective<'a> {
     /// The gain of what rays add, vertex by vertex.
     pub fn worth(&self, added: &[Added]) -> f64 {
         let Some(precision) = self.precision else { return 0.0 };
-        added.iter().map(|added| (self.of_vertex)(&self.now(precision, added), &added.precision)).sum()
+        let worth = |added: &Added| (self.of_vertex)(&self.now(precision, added), &added.precision);
+        // The sum of no numbers is -0.0.
+        0.0 + added.iter().map(worth).sum::<f64>()
     }
 
     /// The gain of a view.
@@ -63,7 +65,7 @@ impl<'a> Objective<'a> {
     /// Share of the view's surface that was never seen.
     pub fn unseen_share(&self, evidence: &Evidence) -> Option<f64> {
         let ray_coverage = self.ray_coverage?;
-        evidence.unseen_share(|cell| ray_coverage.counts()[cell] > 0 || self.seen.contains(&cell))
+        evidence.unseen_share(|cell| ray_coverage.is_reached(cell) || self.seen.contains(&cell))
     }
 
     /// Takes a view.

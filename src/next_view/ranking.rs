@@ -197,14 +197,30 @@ impl<'a> NextView<'a> {
     /// # Errors
     /// As [`NextView::run`]; also for [`Gain::Coverage`], which is no sum over pixels.
     pub fn map(&self, camera: &Camera) -> Result<GainMap> {
-        let Some(precision) = self.precision()? else {
-            return Err(Error::setting("map", "a gain of `logdet` or `trace`, which pixels have", "`coverage`"));
-        };
+        self.settings.gain.check_map()?;
+        let precision = self.field.precision()?;
         self.check_lenses([camera])?;
         let source = self.source()?;
         let viewer = self.viewer(&source, Some(&precision));
         let objective = Objective::new(self.settings.gain, Some(&precision), None).with(self.vertex_gain);
         GainMap::of(camera, &viewer, &precision, &objective, self.monitor)
+    }
+
+    /// `[candidates]`: share of the surface that each shows that no training ray reached; `None` if it shows none,
+    /// stands in matter, or if it is not known where training rays passed.
+    ///
+    /// # Errors
+    /// As [`NextView::run`].
+    pub fn unseen(&self) -> Result<Vec<Option<f64>>> {
+        self.check_lenses(self.candidates)?;
+        let source = self.source()?;
+        let objective = Objective::new(Gain::Coverage, None, self.field.ray_coverage());
+        let mut shares = Vec::new();
+        self.each(&self.viewer(&source, None), self.candidates, "sides", |_, evidence| {
+            shares.push(objective.unseen_share(&evidence).filter(|_| evidence.blank.is_none()));
+            Ok(())
+        })?;
+        Ok(shares)
     }
 
     fn check(&self) -> Result<()> {

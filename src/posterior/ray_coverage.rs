@@ -2,8 +2,9 @@
 //!
 //! U does not distinguish free air from space that no ray reached: displacing either changes no pixel, and both keep
 //! the prior. Ray coverage distinguishes them. A ray covers the space that it crosses before half of its light is lost,
-//! T > ½. Counts are stored in the cells of a separate coarse grid, because an octree's leaves in free space are far
-//! too large to separate the space in front of a surface from that behind it.
+//! T > ½, and the centres of the splats that it shows there. Counts are stored in the cells of a separate coarse grid,
+//! because an octree's leaves in free space are far too large to separate the space in front of a surface from that
+//! behind it.
 
 use std::ops::AddAssign;
 
@@ -104,10 +105,16 @@ impl RayCoverage {
         Some(index(&self.lattice, self.lattice.cell(u).0))
     }
 
+    /// Whether a ray reached a cell, by its number: what is never seen is where none did.
+    #[must_use]
+    pub fn is_reached(&self, cell: usize) -> bool {
+        self.counts[cell] > 0
+    }
+
     /// Share of the cells that no ray reached.
     #[must_use]
     pub fn unseen_share(&self) -> f64 {
-        self.counts.iter().filter(|count| **count == 0).count() as f64 / self.counts.len() as f64
+        (0..self.counts.len()).filter(|&cell| !self.is_reached(cell)).count() as f64 / self.counts.len() as f64
     }
 
     /// Bytes on the heap.
@@ -119,13 +126,27 @@ impl RayCoverage {
     /// Adds rays.
     pub fn add(&mut self, batches: &[RaySamples]) {
         let lattice = &self.lattice;
+        let at_centre = |(_, x): &(usize, Vec3)| self.cell(*x);
         // Each part has a counter of its own. One call counts far fewer rays than a u32 holds.
         let counted = |batches: &[RaySamples]| {
             let mut counts = vec![0_u32; self.counts.len()];
-            for line in batches.iter().flat_map(|batch| &batch.sight) {
-                match lattice.domain() {
-                    Domain::Box(_) => along_straight(lattice, line, |cell| counts[cell] += 1),
-                    Domain::Contracted { .. } => along_curved(lattice, line, |cell| counts[cell] += 1),
+            for batch in batches {
+                let mut reached = batch.reached.iter().peekable();
+                // Cells of centres that the line itself does not cross.
+                let mut aside = Vec::new();
+                for (k, line) in batch.sight.iter().enumerate() {
+                    aside.extend(std::iter::from_fn(|| reached.next_if(|(line, _)| *line == k)).flat_map(at_centre));
+                    aside.sort_unstable();
+                    aside.dedup();
+                    let visit = |cell: usize| {
+                        counts[cell] += 1;
+                        aside.retain(|other| *other != cell);
+                    };
+                    match lattice.domain() {
+                        Domain::Box(_) => along_straight(lattice, line, visit),
+                        Domain::Contracted { .. } => along_curved(lattice, line, visit),
+                    }
+                    aside.drain(..).for_each(|cell| counts[cell] += 1);
                 }
             }
             counts
@@ -344,6 +365,23 @@ mod tests {
                 prop_assert!(others.count() <= 3);
             }
         }
+    }
+
+    #[test]
+    fn centres_beside_a_line_are_reached_and_counted_once() {
+        let cube = Domain::Box(Aabb::centered_cube(1.0));
+        let lines = [-3.0, 3.0].map(|x: f64| line([x, 0.01, 0.01], [-x, 0.0, 0.0], 2.5).unwrap());
+        // On the first line; far from the second, twice in one cell; and outside.
+        let aside = Vec3::new(0.3, 0.5, 0.5);
+        let reached =
+            vec![(0, Vec3::new(-0.7, 0.01, 0.01)), (1, aside), (1, aside + 0.001), (1, Vec3::new(2.0, 0.0, 0.0))];
+        let samples = RaySamples { sight: lines.to_vec(), reached, ..RaySamples::default() };
+        let mut found = RayCoverage::new(&Lattice::from_domain(cube, 8).unwrap());
+        found.add(&[samples.clone(), samples]);
+        assert_eq!(found.at(aside), Some(2));
+        assert_eq!(found.at(Vec3::new(-0.7, 0.01, 0.01)), Some(2));
+        let without = ray_coverage(cube, lines.to_vec());
+        assert_eq!(found.counts.iter().sum::<u32>(), 2 * (without.counts.iter().sum::<u32>() + 1));
     }
 
     #[test]

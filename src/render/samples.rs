@@ -22,6 +22,9 @@ pub struct RaySamples {
     pub weights: Vec<f32>,
     /// What the rays saw on their way, those without samples too; empty if unknown.
     pub sight: Vec<VisibleSegment>,
+    /// Centres of splats that a ray shows before half of its light is lost, each with the ray's place in `sight`, in
+    /// increasing order. They lie beside the ray; samples of a volume, which lie on it, are not listed.
+    pub reached: Vec<(usize, Vec3)>,
     /// Number of rays dropped because the field was not finite.
     pub dropped: u64,
     /// Position of the first sample that was not finite.
@@ -37,6 +40,7 @@ impl Default for RaySamples {
             jacobians: Vec::new(),
             weights: Vec::new(),
             sight: Vec::new(),
+            reached: Vec::new(),
             dropped: 0,
             first_invalid: None,
         }
@@ -97,6 +101,8 @@ impl RaySamples {
         self.positions.append(&mut other.positions);
         self.jacobians.append(&mut other.jacobians);
         self.weights.append(&mut other.weights);
+        let lines = self.sight.len();
+        self.reached.extend(other.reached.iter().map(|(line, x)| (lines + line, *x)));
         self.sight.append(&mut other.sight);
         self.dropped += other.dropped;
         self.first_invalid = self.first_invalid.or(other.first_invalid);

@@ -296,7 +296,7 @@ impl Prepared<'_> {
     pub fn finish(self, tell: &mut dyn FnMut(Remark)) -> Result<Finished> {
         // Before the rays, so that a wrong image ends the work at once.
         let compared = self.compared()?;
-        let Self { session, run, start, step, audit, .. } = self;
+        let Self { session, model, monitor, run, start, step, audit, .. } = self;
         let (rays, grid) = (run.rays(), &session.grid);
         let could_pool = grid.memory.is_none()
             && grid.tile.is_none()
@@ -336,6 +336,9 @@ impl Prepared<'_> {
             None => field,
         };
         checks::field(&field, session.grid.pooling, could_pool, tell);
+        if let Subject::Splats(splats) = model {
+            checks::unseen(splats, &field, &session.cameras, monitor, tell)?;
+        }
         Ok(Finished {
             field,
             errors,

@@ -55,16 +55,18 @@ impl UncertaintyField {
     /// Whether a scene point with this U (`uncertainty`) is constrained, free or unseen; `None` if the field has no
     /// ray coverage.
     ///
-    /// Outside the domain nothing was seen.
+    /// Outside the domain nothing was seen. Splats that no ray reached with half of its light are unseen, whatever
+    /// their U: a pixel shows a little of those behind others, which lowers U and is no look at them.
     #[must_use]
     pub fn observability(&self, x: Vec3, uncertainty: f64) -> Option<Observability> {
-        let ray_coverage = self.ray_coverage()?.at(x).unwrap_or(0);
-        Some(if uncertainty < self.prior() * 10_f64.powf(-self.margin()) {
-            Observability::Constrained
-        } else if ray_coverage > 0 {
-            Observability::Free
-        } else {
-            Observability::Unseen
+        let ray_coverage = self.ray_coverage()?;
+        let is_reached = ray_coverage.cell(x).is_some_and(|cell| ray_coverage.is_reached(cell));
+        let is_constrained = uncertainty < self.prior() * 10_f64.powf(-self.margin());
+        Some(match (is_reached, is_constrained) {
+            (false, false) => Observability::Unseen,
+            (false, true) if self.record.is_of_splats() => Observability::Unseen,
+            (_, true) => Observability::Constrained,
+            (true, false) => Observability::Free,
         })
     }
 }

@@ -63,6 +63,11 @@ impl RunRecord {
         self.seed.zip(self.shard).map(|(seed, shard)| RaySet { seed, shard })
     }
 
+    /// Whether the rays are those of splats: only these are not marched along, of all whose way is known.
+    pub(crate) fn is_of_splats(&self) -> bool {
+        self.march_step.is_none()
+    }
+
     /// Whether these rays are only a part of a run.
     #[must_use]
     pub fn is_part(&self) -> bool {

@@ -4,7 +4,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use glam::Vec3;
 
-use super::Answers;
+use super::{Answer, Answers, Observability};
 use crate::field::{Radiance, RadianceField};
 use crate::geometry::Aabb;
 use crate::splats::Splats;
@@ -36,13 +36,17 @@ pub fn threshold_warning(field: &dyn Answers, log10: f64) -> Result<Option<Strin
     }))
 }
 
-/// `[n]`: which splats a clean-up keeps: those at whose centre log10 U is at most `threshold`.
+/// `[n]`: which splats a clean-up keeps: those at whose centre log10 U is at most `threshold`, but none that was never
+/// seen, whose U is not that of a look at it. From the prior on, all are kept.
 ///
 /// # Errors
 /// If a part of the field cannot be read.
 pub fn is_certain(splats: &Splats, field: &dyn Answers, threshold: f64) -> Result<Vec<bool>> {
-    let found = field.estimates(splats.means())?;
-    Ok(found.iter().map(|at| at.uncertainty.log10() <= threshold).collect())
+    let is_all = threshold >= field.record().reading().prior().log10();
+    let is_kept = |at: Answer| {
+        at.estimate.uncertainty.log10() <= threshold && (is_all || at.observability != Some(Observability::Unseen))
+    };
+    Ok(field.answers(splats.means())?.into_iter().map(is_kept).collect())
 }
 
 /// A radiance field whose density is zero wherever log10 U exceeds a threshold.

@@ -3,11 +3,11 @@
 use std::io::Write;
 use std::path::Path;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 
 use crate::dataset::Frame;
-use crate::geometry::{Aabb, Camera, Distortion, Domain, Norm};
+use crate::geometry::{Aabb, Camera, Distortion, Domain, Norm, upright};
 use crate::io::AtomicFile;
 use crate::posterior::Scale;
 use crate::uncertainty::UncertaintyField;
@@ -28,8 +28,6 @@ const AFTER: [&str; 5] = [
 const LAYERS: &str = include_str!("web/layers.glsl");
 /// Bars of the histogram.
 const BARS: usize = 48;
-/// Most values of log10 U on visible surfaces in the file.
-const QUANTILES: usize = 1000;
 /// Most cameras in the file.
 const CAMERAS: usize = 1000;
 
@@ -113,22 +111,24 @@ impl Page<'_> {
                 "isDistorted": distortion != Distortion::default(),
             })
         };
+        let cameras: Vec<Camera> = self.frames.iter().map(|frame| frame.camera).collect();
+        // A page has keys to turn freely.
+        let up = upright(&cameras, None).unwrap_or(DVec3::Z);
         let found = field.query_all(self.surface);
-        let mut known: Vec<f64> = found.iter().map(|found| found.uncertainty.log10()).collect();
-        known.sort_unstable_by(f64::total_cmp);
+        let known: Vec<f64> = found.iter().map(|found| found.uncertainty.log10()).collect();
         let ends = |of: Aabb| json!({ "min": of.min().to_array(), "max": of.max().to_array() });
         json!({
             "title": self.title,
             "contraction": contraction,
             "bounds": ends(bounds),
             "core": ends(core),
+            "up": up.to_array(),
             "knowsUnseen": field.ray_coverage().is_some(),
             "quantity": field.record().scale.quantity(),
             "isLength": matches!(field.record().scale, Scale::Data(_)),
             "prior": field.prior().log10(),
             "range": self.range,
             "histogram": histogram(&known, [self.range[0], field.prior().log10()]),
-            "surfaces": quantiles(&known),
             "background": self.background.to_array(),
             "pixelOffset": self.offset,
             "maps": { "uncertainty": map(colorous::INFERNO), "depth": map(colorous::VIRIDIS) },
@@ -157,36 +157,11 @@ fn histogram(known: &[f64], [low, prior]: [f64; 2]) -> Vec<u64> {
     bars
 }
 
-/// At most [`QUANTILES`] of the sorted numbers, evenly spread over their ranks: shares of them are right within a
-/// thousandth.
-fn quantiles(known: &[f64]) -> Vec<f64> {
-    let count = known.len().min(QUANTILES);
-    let rounded = |log10: f64| (1e4 * log10).round() / 1e4;
-    (0..count).map(|k| rounded(known[(2 * k + 1) * known.len() / (2 * count)])).collect()
-}
-
 #[cfg(test)]
 pub mod tests {
-    use super::*;
-
     /// The page has as many ends as scripts, whatever its data, and every mark is filled in.
     pub fn check(page: &str) {
         assert_eq!(page.matches("</script>").count(), page.matches("<script ").count());
         assert!(!page.contains("{{"), "every mark is filled in");
-    }
-
-    #[test]
-    fn shares_of_surfaces_are_counted_not_read_off_bars() {
-        let known: Vec<f64> = (0..5003).map(|i| f64::from(i) / 5002.0).collect();
-        let kept = quantiles(&known);
-        assert_eq!(kept.len(), QUANTILES);
-        for threshold in [0.0, 0.1234, 0.5, 0.99, 1.0] {
-            let share = |of: &[f64]| of.iter().filter(|log10| **log10 <= threshold).count() as f64 / of.len() as f64;
-            assert!((share(&kept) - share(&known)).abs() <= 1e-3, "{threshold}: {} {}", share(&kept), share(&known));
-        }
-        // A point at the prior is above every threshold below it, though its bar's middle is not.
-        let prior = 2.4082;
-        assert_eq!(quantiles(&[1.0, prior]), [1.0, prior]);
-        assert!(quantiles(&[]).is_empty());
     }
 }

@@ -326,6 +326,19 @@ mod tests {
     }
 
     #[test]
+    fn without_views_a_splat_matters_by_its_opacity_and_largest_section() {
+        let log_scales =
+            [Vec3::new(0.1, 4.0, 3.0), Vec3::splat(2.0)].map(|scale| Vec3::from(scale.to_array().map(f32::ln)));
+        let (means, rotations) = (vec![Vec3::ZERO; 2], vec![Quat::IDENTITY; 2]);
+        let splats =
+            Splats::new(means, log_scales.to_vec(), rotations, vec![0.0, 40.0], vec![0.0; 6], 0, RenderMode::Classic);
+        let splats = splats.unwrap();
+        let found = importance(&splats, None);
+        // ½ · 4 · 3 and 1 · 2 · 2.
+        assert!((found[0] - 6.0).abs() < 1e-4 && (found[1] - 4.0).abs() < 1e-4, "{found:?}");
+    }
+
+    #[test]
     fn flat_splats_and_one_alone_have_finite_codes() {
         let flat = Shown { log_scales: Vec3::new(0.0, 0.0, -80.0), ..some(1)[0] };
         let codes = Codes::of(&[flat], 5.5, flat.mean);

@@ -149,8 +149,7 @@ def test_the_slider_removes_what_render_removes(scene, page):
         threshold,
     )
     threshold = page.do("return v.shown.threshold")
-    # `render` also removes what was never seen, whose U is the prior's.
-    hide_unseen(page, True)
+    # Both remove what was never seen, too.
     page.layer("color")
     color, opacity, _, _ = scene.rendered(1, f"--threshold={threshold}")
     whole, _, _, _ = scene.rendered(1)
@@ -161,7 +160,6 @@ def test_the_slider_removes_what_render_removes(scene, page):
     # It did remove something.
     assert psnr(whole, color) < 40
     page.threshold(99)
-    hide_unseen(page, False)
 
 
 def words(page, name):
@@ -175,23 +173,46 @@ def test_the_slider_s_last_position_removes_nothing_and_the_one_before_only_what
     slider = page.driver.find_element(By.ID, "threshold")
     prior = page.do("return v.about.prior")
     page.threshold(99)
-    whole = page.numbers()[..., 0]
+    whole = page.numbers()[..., :2]
     slider.send_keys(Keys.END)
     assert words(page, "threshold-words") == "the slider removes nothing"
     assert "0.0 % is removed" in words(page, "unseen-words")
-    assert np.array_equal(page.numbers()[..., 0], whole)
+    assert np.array_equal(page.numbers()[..., :2], whole)
     slider.send_keys(Keys.ARROW_LEFT)
     threshold = page.do("return v.shown.threshold")
     assert prior - 0.02 < threshold < prior
-    surfaces = np.array(page.do("return v.about.surfaces"))
-    share = 100 * (surfaces <= threshold).mean()
-    assert f"{share:.1f} % of visible surfaces stay" in words(page, "threshold-words")
-    # What was never seen is most of the matter inside of things, and stays.
+    # What was never seen is most of the matter inside of things, and goes.
     gone, unseen = shares_of_matter(page)
-    assert unseen > 5 and gone < 0.5 * unseen, (gone, unseen)
+    assert unseen > 5 and unseen <= gone < 1.5 * unseen, (gone, unseen)
+    box = "const b = document.getElementById('hide-unseen'); return [b.checked, b.disabled]"
+    assert page.do(box) == [True, True]
     slider.send_keys(Keys.ARROW_RIGHT)
     assert words(page, "threshold-words") == "the slider removes nothing"
-    assert np.array_equal(page.numbers()[..., 0], whole)
+    assert page.do(box) == [False, False]
+    assert np.array_equal(page.numbers()[..., :2], whole)
+    page.threshold(99)
+
+
+def test_the_slider_reveals_nothing_that_was_never_seen_and_its_words_are_true_of_the_picture(scene, page):
+    page.camera(1)
+    page.threshold(99)
+    page.layer("uncertainty")
+    page.do("v.shown.split = null")
+    whole = page.numbers()
+    low, prior = page.do("return [v.about.range[0], v.about.prior]")
+    for part in (0.95, 0.75, 0.5):
+        threshold = low + part * (prior - low)
+        page.threshold(threshold)
+        page.do("v.isMoving = false; v.draw()")
+        text = words(page, "threshold-words")
+        assert text.startswith(f"log10 U ≤ {threshold:.2f}: ") and text.endswith(" % of the surface in view stays")
+        left = page.numbers()
+        same = (left[..., 0] > 0.5) & (np.abs(left[..., 1] - whole[..., 1]) < 0.01 * whole[..., 1])
+        share = 100 * same[whole[..., 0] > 0.5].mean()
+        assert abs(float(text.split(": ")[1].split()[0]) - share) < 2, (text, share)
+        hatched = (np.abs(page.picture() - 150 / 255) < 1e-3).all(axis=-1)
+        assert hatched.mean() < 1e-3, (threshold, hatched.sum())
+    page.do("v.shown.split = 0.5")
     page.threshold(99)
 
 
@@ -339,22 +360,9 @@ def test_the_horizon_stays_level_until_it_is_released(page):
 
 
 def test_up_is_what_the_cameras_right_axes_agree_on(page):
-    """Cameras of one side that look down: the mean of what is up in their images is not upright."""
-    script = """
-        const cameras = [-1, -0.5, 0, 0.5, 1].map((turn) => {
-          const back = unit([Math.cos(turn), Math.sin(turn), 0.8]);
-          const right = unit(cross([0, 0, 1], back));
-          return { axes: [...right, ...cross(back, right), ...back] };
-        });
-        const mean = unit(cameras.reduce((s, c) => add(s, column(c.axes, 1)), [0, 0, 0]));
-        return [upright(cameras), upright(cameras.slice(2, 3)), mean, cameras[2].axes.slice(3, 6)];"""
-    functions = page.do("return document.querySelector('script[type=module]').textContent").split(
-        "async function start"
-    )[0]
-    several, one, mean, above = page.do(functions + script)
-    assert mean[2] < 0.95
-    assert several[2] > 0.999
-    assert np.allclose(one, above, atol=1e-6), "a single camera is upright"
+    up, axes = page.do("return [v.camera.up, v.about.cameras.map((camera) => camera.axes)]")
+    axes = np.array(axes).reshape(-1, 3, 3)
+    assert np.abs(axes[:, 0] @ up).max() < 1e-5 and (axes[:, 1] @ up).mean() > 0.5
 
 
 def test_a_click_on_a_frustum_flies_there_and_a_double_click_looks_at_a_point(page):
@@ -494,6 +502,31 @@ def test_without_webgl_it_says_so(scene, browser):
     browser.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", script)
     words = page.do("return document.getElementById('status').textContent")
     assert "WebGL2" in words and page.do("return !document.getElementById('status').hidden")
+
+
+def test_a_lost_context_is_said_and_drawn_again(scene, browser):
+    from selenium.webdriver.common.by import By
+
+    page = Page(browser, scene.html)
+    page.camera(1)
+    page.layer("tinted")
+    before = page.picture()
+    page.do("window.lost = v.renderer.gl.getExtension('WEBGL_lose_context'); lost.loseContext()")
+    wait(page, "return !document.getElementById('status').hidden")
+    assert "graphics context" in page.do("return document.getElementById('status').textContent")
+    # Whatever is touched meanwhile.
+    page.do("v.draw(); v.camera.orbit(0.1, 0); v.moved(); v.layer('depth'); v.jump(0); v.read(10, 10); v.threshold(99)")
+    page.do("lost.restoreContext()")
+    wait(page, "return document.getElementById('status').hidden")
+    page.camera(1)
+    page.layer("tinted")
+    assert np.array_equal(page.picture(), before)
+    # A context that does not return: the page can be loaded again.
+    page.do("v.renderer.gl.getExtension('WEBGL_lose_context').loseContext()")
+    wait(page, "return !document.getElementById('status').hidden")
+    page.driver.find_element(By.CSS_SELECTOR, "#status button").click()
+    wait(page, "return window.lost === undefined && document.getElementById('status').hidden")
+    browser.get_log("browser")
 
 
 def test_frames_come_fast_enough_to_turn(scene, page, record_property):

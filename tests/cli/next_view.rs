@@ -1,5 +1,6 @@
 //! Rankings of views from file to file: of a volume and of splats, and what is refused.
 
+use glam::DVec3;
 use octobayes::dataset::{Views, write_transforms};
 use octobayes::geometry::Camera;
 use serde_json::Value;
@@ -73,11 +74,69 @@ fn views_of_splats_are_ranked_from_files_and_made() {
     let again = rank("--candidates next.json");
     assert_eq!(again["candidates"][0]["gain"], first["steps"][0]["gain"]);
     assert!(rank("--candidates transforms.json")["steps"][0]["gain"].as_f64().unwrap() < gains[0]);
+    // On a level circle, around the given axis if there is one.
+    for (given, up) in [("", DVec3::Z), ("--up=0,3,-4", DVec3::new(0.0, 0.6, -0.8))] {
+        rank(&format!("--orbit 8 {given} --take 8 --pixels 64 --chosen level.json"));
+        let level = Views::read(&folder.join("level.json"), None).unwrap().cameras();
+        let heights: Vec<f64> = level.iter().map(|camera| camera.position.dot(up)).collect();
+        assert!(level.len() > 5 && heights.iter().all(|height| (height - heights[0]).abs() < 1e-9), "{heights:?}");
+        assert!(level.iter().all(|camera| camera.axes.x_axis.dot(up).abs() < 1e-9), "{given}");
+    }
+    refused(
+        folder,
+        "next-view scene.ply scene.oct --candidates next.json --up 0,0,1 -o x.json",
+        &["--up", "--candidates"],
+    );
     let trace = rank("--sphere 12 --upper --gain trace --take 2");
     assert_eq!((&trace["gain"], trace["candidates"].as_array().unwrap().len()), (&"trace".into(), 12));
     let coverage = rank("--orbit 8 --gain coverage");
     assert!(coverage["steps"][0]["gain"].as_f64().unwrap() > 0.0);
     assert!(coverage["steps"][0]["unseen"].as_f64().unwrap() > 0.5);
+}
+
+#[test]
+fn nothing_is_a_gain_of_zero_without_a_sign() {
+    let folder = folder();
+    let folder = folder.path();
+    good(folder, VOLUME);
+    let mut views = Views::read(&folder.join("transforms.json"), None).unwrap().cameras();
+    views[0].position *= -1.0;
+    let named: Vec<(String, Camera)> =
+        views.into_iter().enumerate().map(|(i, view)| (format!("c_{i}"), view)).collect();
+    write_transforms(&folder.join("away.json"), &named).unwrap();
+    for gain in ["logdet", "trace", "coverage"] {
+        good(
+            folder,
+            &format!(
+                "next-view scene:courtyard field.oct --candidates away.json --gain {gain} --resolution 24 -o r.json"
+            ),
+        );
+        let text = std::fs::read_to_string(folder.join("r.json")).unwrap();
+        assert!(text.contains("\"gain\": 0.0") && !text.contains("-0.0"), "{gain}: {text}");
+    }
+}
+
+#[test]
+fn no_output_replaces_an_image_or_comes_before_a_refusal() {
+    let folder = folder();
+    let folder = folder.path();
+    good(folder, SPLATS);
+    std::fs::copy(folder.join("transforms.json"), folder.join("others.json")).unwrap();
+    std::fs::write(folder.join("r_1.png"), "a photograph").unwrap();
+    let rank = "next-view scene.ply scene.oct -o r.json";
+    let cases = [
+        ("--cameras transforms.json --orbit 4 --map r_1.png", "an image of --cameras"),
+        ("--cameras transforms.json --orbit 4 --chosen r_1.png", "an image of --cameras"),
+        ("--candidates transforms.json --map ./r_1.png", "an image of --candidates"),
+        ("--cameras others.json --candidates transforms.json --map r_1.png", "an image of --"),
+    ];
+    for (options, named) in cases {
+        refused(folder, &format!("{rank} {options}"), &["the same file as", named]);
+    }
+    let options = "--cameras transforms.json --orbit 4 --gain coverage --map gain.png";
+    refused(folder, &format!("{rank} {options}"), &["map", "`coverage`"]);
+    assert!(!folder.join("r.json").exists() && !folder.join("gain.png").exists());
+    assert_eq!(std::fs::read_to_string(folder.join("r_1.png")).unwrap(), "a photograph");
 }
 
 #[test]

@@ -59,7 +59,8 @@ pub fn refused(folder: &Path, args: &str, words: &[&str]) {
 fn a_run_its_queries_its_pictures_and_the_file_with_columns() {
     let folder = folder();
     let folder = folder.path();
-    good(folder, &format!("{RUN} -o scene.oct"));
+    let said = String::from_utf8(run(folder, &format!("{RUN} -o scene.oct")).stderr).unwrap();
+    assert!(said.contains("of the surface that shows was never seen by a training ray"), "{said}");
     let field = UncertaintyField::read(&folder.join("scene.oct")).unwrap();
     // The box is what the cameras see, which the ball fills.
     let longest = field.lattice().domain().size().max_element();
@@ -68,8 +69,8 @@ fn a_run_its_queries_its_pictures_and_the_file_with_columns() {
     good(folder, "export scene.ply scene.oct --cameras transforms.json -o scene-u.ply");
     let found = Splats::read(&folder.join("scene-u.ply")).unwrap();
     let column = |name: &str| found.extra(name).unwrap_or_else(|| panic!("column {name}"));
-    assert!(found.extra_names().ends_with(&["uncertainty", "log10_uncertainty", "weight", "views"]));
-    let [u, log10, weight, views] = ["uncertainty", "log10_uncertainty", "weight", "views"].map(column);
+    assert!(found.extra_names().ends_with(&["uncertainty", "log10_uncertainty", "seen", "weight", "views"]));
+    let [u, log10, seen, weight, views] = ["uncertainty", "log10_uncertainty", "seen", "weight", "views"].map(column);
     for i in 0..found.len() {
         let expected = field.query(found.mean(i)).uncertainty;
         assert!((u[i] / expected - 1.0).abs() < 1e-6 && (log10[i] - expected.log10()).abs() < 1e-6);
@@ -87,13 +88,26 @@ fn a_run_its_queries_its_pictures_and_the_file_with_columns() {
     let comments = found.comments().join("\n");
     assert!(comments.contains("larger is less certain") && comments.contains("training pixels"), "{comments}");
 
-    // The clean-up leaves out what is above its threshold; without cameras there are two columns.
+    // `query` answers as the file does, and by where rays passed.
+    let points: String = found.means().iter().map(|x| format!("{},{},{}\n", x.x, x.y, x.z)).collect();
+    std::fs::write(folder.join("centres.csv"), points).unwrap();
+    let answers = good(folder, "query scene.oct centres.csv");
+    let rows: Vec<Vec<&str>> = answers.lines().skip(1).map(|row| row.split(',').collect()).collect();
+    for (i, row) in rows.iter().enumerate() {
+        assert_eq!((row[8] == "0", row[9] == "unseen"), (seen[i] == 0.0, seen[i] == 0.0), "{row:?}");
+    }
+    let unseen =
+        |keep: &dyn Fn(f32) -> bool| mean(&seen.iter().map(|code| f64::from(*code == 0.0)).collect::<Vec<_>>(), keep);
+    assert!(unseen(&|x| x > 0.4) == 0.0 && unseen(&|x| x < -0.4) > 0.7, "{}", unseen(&|x| x < -0.4));
+
+    // The clean-up leaves out what is above its threshold and what was never seen; without cameras there are three
+    // columns.
     good(folder, "export scene.ply scene.oct --threshold 80% -o cleaned.ply");
     let cleaned = Splats::read(&folder.join("cleaned.ply")).unwrap();
     assert!(cleaned.len() < found.len() && cleaned.len() > found.len() / 10, "{}", cleaned.len());
-    assert!(cleaned.extra_names().ends_with(&["uncertainty", "log10_uncertainty"]));
+    assert!(cleaned.extra_names().ends_with(&["uncertainty", "log10_uncertainty", "seen"]));
     let most = cleaned.extra("log10_uncertainty").unwrap().into_iter().fold(f64::MIN, f64::max);
-    assert!(log10.iter().filter(|&&value| value <= most).count() == cleaned.len());
+    assert!((0..found.len()).filter(|&i| log10[i] <= most && seen[i] > 0.0).count() == cleaned.len());
 
     good(folder, "render scene.ply scene.oct --cameras transforms.json --threshold 80% -o view.png");
     good(folder, "render scene.ply scene.oct --cameras transforms.json --frame 1 -o view.exr");

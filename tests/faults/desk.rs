@@ -255,6 +255,10 @@ impl Desk {
         let turned = ClosedForm::half_circle(2, [16, 16]).into_iter().enumerate();
         let turned: Vec<_> = turned.map(|(i, camera)| (format!("r_{i}"), opencv(camera))).collect();
         write_transforms(&self.path("opencv.json"), &turned).unwrap();
+        let half = ClosedForm::half_circle(1, [16, 16])[0];
+        let turn = glam::DMat3::from_rotation_z(std::f64::consts::PI);
+        let upside_down = octobayes::geometry::Camera { axes: half.axes * turn, ..half };
+        write_transforms(&self.path("rolled.json"), &[("a".into(), half), ("b".into(), upside_down)]).unwrap();
         let frame = |intrinsics: &str, matrix: &str| {
             format!("{{{intrinsics}, \"frames\": [{{\"file_path\": \"a\", \"transform_matrix\": {matrix}}}]}}")
         };

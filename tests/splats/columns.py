@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from plyfile import PlyData
 
-COLUMNS = ["uncertainty", "log10_uncertainty", "weight", "views"]
+COLUMNS = ["uncertainty", "log10_uncertainty", "seen", "weight", "views"]
 
 
 def run(*words: str | Path) -> None:

@@ -51,6 +51,12 @@ pub fn parse_box(text: &str) -> Result<Aabb, String> {
     Ok(bounds)
 }
 
+/// `x,y,z`, a direction.
+pub fn parse_direction(text: &str) -> Result<DVec3, String> {
+    let direction = DVec3::from(numbers(text)?);
+    direction.try_normalize().ok_or_else(|| "a direction must not be zero".into())
+}
+
 /// `l2:x,y,z,r`, or `linf:x,y,z,r`.
 pub fn parse_contraction(text: &str) -> Result<(Norm, [f64; 4]), String> {
     let (name, ball) = text.split_once(':').ok_or("expected l2:x,y,z,r or linf:x,y,z,r")?;

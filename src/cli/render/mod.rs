@@ -5,20 +5,23 @@ mod studio;
 
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
 use image::RgbImage;
 
 use self::orbit::orbit;
 use self::studio::{Cleaned, Studio};
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, Frames, ModelArgument, count, heading, parse_frames, parse_positive, parse_range};
+use super::options::{
+    CameraOptions, Frames, ModelArgument, count, heading, parse_direction, parse_frames, parse_positive, parse_range,
+};
 use super::progress::Bars;
 use super::streams::tell;
 use crate::dataset::{Frame, Part};
 use crate::estimate::RaySettings;
 use crate::evaluate::{Reading, TrainingViews};
 use crate::field::RadianceField;
-use crate::geometry::{Camera, MAX_PIXELS};
+use crate::geometry::{Camera, MAX_PIXELS, upright};
 use crate::io::write_exr;
 use crate::monitor::Monitor;
 use crate::open::Model;
@@ -83,6 +86,18 @@ pub struct Args {
         help_heading = heading::OUTPUT,
     )]
     orbit: Option<u32>,
+
+    /// What is up for --orbit, a direction in scene units [default: as the cameras were held]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_parser = parse_direction,
+        allow_hyphen_values = true,
+        requires = "orbit",
+        help_heading = heading::OUTPUT,
+        hide_short_help = true,
+    )]
+    up: Option<DVec3>,
 
     /// Picture to write, `.png` or `.exr`
     #[arg(short, long, value_name = "OUT", help_heading = heading::OUTPUT)]
@@ -156,7 +171,8 @@ impl Args {
         let cameras: Vec<Camera> = match self.orbit {
             Some(count) => {
                 let others: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
-                orbit(&self.sized(&frames[0].camera)?, &others, field.facts().lattice().domain(), count)
+                let up = upright(&others, self.up)?;
+                orbit(&self.sized(&frames[0].camera)?, up, field.facts().lattice().domain(), count)
             }
             None => frames.iter().map(|frame| self.sized(&frame.camera)).collect::<Result<_>>()?,
         };

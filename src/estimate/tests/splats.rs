@@ -11,7 +11,7 @@ use crate::posterior::{Criteria, Criterion, VertexSums};
 use crate::rays::{Pixels, Purpose, RayStream, RunProgress, Shard};
 use crate::render::{GradientMethod, RaySamples};
 use crate::splats::{RenderMode, Splats, seen_domain};
-use crate::uncertainty::{UncertaintyField, merge};
+use crate::uncertainty::{Observability, UncertaintyField, is_certain, merge};
 
 /// A shell of splats of several colours, and one far away.
 fn shell() -> Splats {
@@ -229,6 +229,36 @@ fn what_is_seen_is_certain_and_what_is_not_is_unknown() {
     let at = |angle: f32| Vec3::new(0.8 * angle.cos(), 0.8 * angle.sin(), 0.0);
     let [seen, unseen] = [1.0, 1.0 + std::f32::consts::PI].map(|angle| field.query(at(angle)).uncertainty);
     assert!(seen < 0.1 * unseen, "{seen} against {unseen}");
+}
+
+/// Splats behind others are in pixels, too, by the little light that passes: once they counted as constrained.
+#[test]
+fn splats_that_no_ray_reaches_were_never_seen_whatever_their_uncertainty() {
+    let (splats, cameras) = (shell(), cameras());
+    let field = run(&splats, &cameras, 20_000);
+    let towards = cameras.iter().map(|camera| camera.position).sum::<DVec3>().normalize().as_vec3();
+    let of = |keep: &dyn Fn(f32) -> bool| -> Vec<(f64, Observability)> {
+        let means = splats.means().iter().skip(1).filter(|x| keep(x.dot(towards)));
+        let answer = |x: &Vec3| {
+            let u = field.query(*x).uncertainty;
+            (u / field.prior(), field.observability(*x, u).unwrap())
+        };
+        means.map(answer).collect()
+    };
+    let (front, back) = (of(&|along| along > 0.4), of(&|along| along < -0.4));
+    let unseen = |all: &[(f64, Observability)]| all.iter().filter(|(_, seen)| *seen == Observability::Unseen).count();
+    assert_eq!(unseen(&front), 0, "of {}", front.len());
+    assert!(unseen(&back) as f64 > 0.9 * back.len() as f64, "{} of {}", unseen(&back), back.len());
+    let informed = |(ratio, seen): &(f64, Observability)| *ratio < 0.1 && *seen == Observability::Unseen;
+    assert!(back.iter().filter(|at| informed(at)).count() > 20, "U alone does not tell it");
+    // The clean-up leaves none of them, below the prior.
+    let prior = field.prior().log10();
+    let kept = is_certain(&splats, &field, prior - 1e-3).unwrap();
+    let is_unseen = |i: usize| {
+        field.observability(splats.mean(i), field.query(splats.mean(i)).uncertainty) == Some(Observability::Unseen)
+    };
+    assert!((0..splats.len()).all(|i| !(kept[i] && is_unseen(i))));
+    assert!(is_certain(&splats, &field, prior).unwrap().iter().all(|kept| *kept));
 }
 
 #[test]

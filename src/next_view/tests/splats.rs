@@ -216,3 +216,24 @@ fn views_that_see_no_splat_say_why_and_lenses_that_distort_are_refused() {
         assert!(refused.to_string().starts_with("cameras of splats: expected no lens distortion"), "{refused}");
     }
 }
+
+#[test]
+fn a_side_that_no_training_ray_reached_is_known() {
+    let splats = ball();
+    let at = |turn: f64| {
+        let eye = DVec3::new(2.4 * turn.cos(), 2.4 * turn.sin(), 0.4);
+        Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.8, [40; 2])
+    };
+    let sides = [0.3, 0.3 + std::f64::consts::PI].map(at);
+    let shares = |cameras: &[Camera]| {
+        let run = crate::estimate::Estimation::of_splats(&splats, cameras);
+        let run = run.rays(RaySettings::default().rays(20_000)).grid(crate::estimate::GridSettings::default().level(5));
+        let field = run.run().unwrap().field;
+        let found = NextView::of(Subject::Splats(&splats), &field, &sides).unseen().unwrap();
+        [0, 1].map(|i| found[i].unwrap())
+    };
+    let half = shares(&[0.0, 0.3, 0.6].map(at));
+    assert!(half[0] < 0.02 && half[1] > 0.5, "{half:?}");
+    let round: Vec<Camera> = (0..8).map(|k| at(std::f64::consts::TAU * f64::from(k) / 8.0)).collect();
+    assert!(shares(&round).iter().all(|share| *share < 0.1), "{:?}", shares(&round));
+}

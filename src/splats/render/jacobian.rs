@@ -16,6 +16,9 @@ use super::{Hit, Hits, SplatView};
 use crate::geometry::Ray;
 use crate::render::{DepthSample, RaySamples, VisibleSegment};
 
+/// A pixel shows a splat if its share of the colour is more than this.
+const SHOWN: f64 = 0.05;
+
 impl Slope {
     /// g = ∂α/∂μ, 1 / scene unit.
     #[inline(always)]
@@ -62,10 +65,13 @@ impl SplatView<'_> {
         if list.is_empty() {
             return;
         }
+        let centre = |hit: &Hit| self.renderer.splats().mean(self.splat(hit));
+        let line = out.sight.len() - 1;
+        let in_front = list.iter().take_while(|hit| hit.before > 0.5).filter(|hit| hit.weight() > SHOWN);
+        out.reached.extend(in_front.map(|hit| (line, centre(hit))));
         found.resize(list.len(), [0.0; 9]);
         let behind = *passed * self.renderer.background().as_dvec3();
         jacobians(list, &self.footprints, &self.slopes, behind, found);
-        let centre = |hit: &Hit| self.renderer.splats().mean(self.splat(hit));
         if let Some(bad) = found.iter().position(|jacobian| !jacobian.iter().all(|v| v.is_finite())) {
             out.dropped += 1;
             out.first_invalid = out.first_invalid.or(Some(centre(&list[bad])));

@@ -97,19 +97,3 @@ function between(from, to, part) {
   const right = unit(cross(mix(column(from.axes, 1), column(to.axes, 1)), back));
   return { position: mix(from.position, to.position), axes: [...right, ...cross(back, right), ...back] };
 }
-
-/**
- * The upright axis: the direction to which the cameras' right axes r are most nearly perpendicular, as they are if
- * horizons are level. It is the eigenvector of Σ r rᵀ with the smallest eigenvalue, by inverse iteration from the mean
- * of what is up in images; if all cameras look the same way, that mean decides what the right axes leave open.
- */
-function upright(cameras) {
-  const sum = cameras.reduce((s, camera) => add(s, column(camera.axes, 1)), [0, 0, 0]);
-  const rights = cameras.map((camera) => column(camera.axes, 0));
-  const m = [0, 1, 2].map((k) => rights.reduce((s, r) => add(s, scale(r, r[k])), [0, 0, 0]));
-  m.forEach((v, k) => (v[k] += 0.01 * cameras.length));
-  const inverse = [cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])];
-  let up = norm(sum) > 0.05 * cameras.length ? unit(sum) : [0, 0, 1];
-  for (let i = 0; i < 10; i++) up = unit(inverse.map((row) => dot(row, up)));
-  return up;
-}

@@ -20,7 +20,9 @@ int layerAt(float x) {
 // The canvas pixel `at`, whose colour is without background, and in which log10 U is a mean over what is hit.
 vec3 layered(vec2 at, vec3 color, float opacity, float depth, float log10U, bool isUnseen) {
     int shownLayer = layerAt(at.x);
-    float place = clamp((log10U - range.x) / (range.y - range.x), 0.0, 1.0);
+    isUnseen = isUnseen && opacity > 0.5;
+    // What was never seen has the colour of it, whatever shines through.
+    float place = isUnseen ? 1.0 : clamp((log10U - range.x) / (range.y - range.x), 0.0, 1.0);
     vec3 ofU = texture(maps, vec2((255.0 * place + 0.5) / 256.0, 0.25)).rgb;
     if (shownLayer == 1) {
         float far = clamp((depth - depths.x) / (depths.y - depths.x), 0.0, 1.0);
@@ -28,7 +30,7 @@ vec3 layered(vec2 at, vec3 color, float opacity, float depth, float log10U, bool
     }
     if (shownLayer == 2) {
         bool isStripe = mod(floor(at.x) + floor(at.y), 6.0) < 2.0;
-        if (isUnseen && opacity > 0.5 && isStripe) return HATCHING;
+        if (isUnseen && isStripe) return HATCHING;
         return opacity > FAINT ? ofU : NOTHING;
     }
     if (shownLayer == 3) {

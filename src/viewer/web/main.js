@@ -2,6 +2,8 @@
 
 /** Longest time that a picture may take while the camera moves, milliseconds; it gets smaller instead. */
 const PATIENCE = 80;
+/** A pixel shows the same surface if its depth changes by less than this share of it. */
+const SAME_DEPTH = 0.01;
 /** How long it takes to fly to a camera, milliseconds. */
 const FLIGHT = 400;
 
@@ -18,9 +20,36 @@ class Viewer {
     this.current = 0;
     this.frusta = false;
     this.shrink = 1;
+    this.listenToContext();
     const first = about.cameras[0] ?? this.someCamera();
-    this.camera = new Orbit(first, about.cameras.length ? upright(about.cameras) : [0, 0, 1], this.model.size);
+    this.camera = new Orbit(first, about.up, this.model.size);
     this.jump(0);
+  }
+
+  /** Says if the browser takes the graphics away, as after sleep, and draws again when it gives them back. */
+  listenToContext() {
+    const status = byId('status');
+    this.canvas.addEventListener('webglcontextlost', (event) => {
+      // Without this it is never given back.
+      event.preventDefault();
+      this.isLost = true;
+      status.textContent = 'The browser took the graphics context away. The picture returns when it gives it back. ';
+      const reload = status.appendChild(document.createElement('button'));
+      reload.textContent = 'Reload the page';
+      // Not a drag of the picture.
+      reload.onpointerdown = (press) => press.stopPropagation();
+      reload.onclick = () => location.reload();
+      status.hidden = false;
+    });
+    this.canvas.addEventListener('webglcontextrestored', () => {
+      try {
+        this.renderer = this.model.renderer(this.canvas);
+        [this.isLost, this.whole, status.hidden] = [false, null, true];
+        this.changed();
+      } catch (error) {
+        status.prepend(`${error.message} `);
+      }
+    });
   }
 
   /** A view of the whole box, if there are no cameras. */
@@ -133,12 +162,34 @@ class Viewer {
     return this.shown.split !== null && this.shown.layer !== 'color';
   }
 
+  /** What a picture of at most `side` pixels a side stands for. */
+  few(shown, side) {
+    const [w, h] = this.camera.resolution;
+    const few = Math.min(1, side / Math.max(w, h));
+    return this.renderer.measure(this.camera, shown, Math.max(1, Math.round(w * few)), Math.max(1, Math.round(h * few)));
+  }
+
+  /** Which part of the surface in view stays where it is when the slider removes matter; null if none is in view. */
+  kept() {
+    const { position, axes } = this.camera;
+    const key = JSON.stringify([position, axes, this.shown.crop]);
+    // Both at once while only the slider moves.
+    if (this.whole?.key !== key) {
+      this.whole = { key, numbers: this.few({ ...this.shown, threshold: this.about.prior, hidesUnseen: false }, 96) };
+    }
+    const [before, after] = [this.whole.numbers, this.few(this.shown, 96)];
+    let [all, same] = [0, 0];
+    for (let i = 0; i < before.length; i += 4) {
+      if (before[i] <= 0.5) continue;
+      all++;
+      same += Number(after[i] > 0.5 && Math.abs(after[i + 1] - before[i + 1]) < SAME_DEPTH * before[i + 1]);
+    }
+    return all > 0 ? same / all : null;
+  }
+
   /** Lets the colour bar of depth span what is in view. */
   fitDepths() {
-    const [w, h] = this.camera.resolution;
-    const few = Math.min(1, 48 / Math.max(w, h));
-    const size = [Math.max(1, Math.round(w * few)), Math.max(1, Math.round(h * few))];
-    const numbers = this.renderer.measure(this.camera, this.shown, ...size);
+    const numbers = this.few(this.shown, 48);
     const seen = [];
     for (let i = 0; i < numbers.length; i += 4) if (numbers[i] > 0.5) seen.push(numbers[i + 1]);
     if (seen.length > 0) {
@@ -185,6 +236,7 @@ class Viewer {
 
   /** Draws now, with pixels that are `shrink` times as long; returns the time that it took, milliseconds. */
   draw(shrink = 1) {
+    if (this.isLost) return 0;
     const [width, height] = this.fixed ?? this.size();
     [this.canvas.width, this.canvas.height] = [width, height].map((n) => Math.max(1, Math.round(n / shrink)));
     const start = performance.now();
@@ -198,7 +250,7 @@ class Viewer {
     showDivider(this.isSplit() ? this.shown : null);
     drawLegend(this.about, this.shown.layer, this.shown.depths);
     drawHistogram(this.about, this.shown.threshold);
-    sayRemoved(this.model, this.shown);
+    sayRemoved(this.model, this.shown, this.isMoving || this.shown.threshold >= this.about.prior ? null : this.kept());
     return took;
   }
 

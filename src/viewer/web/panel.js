@@ -67,15 +67,16 @@ function drawHistogram(about, threshold) {
   pen.fillRect(Math.min(x, canvas.width - 2), 0, 2, canvas.height);
 }
 
-/** Says what the slider removes of visible surfaces, and what it and the switch remove of all matter. */
-function sayRemoved(model, shown) {
-  const { prior, surfaces } = model.about;
+/** Says which part of what is in view the slider leaves, and what it and the switch remove of all matter. */
+function sayRemoved(model, shown, kept) {
+  const { prior } = model.about;
   const { threshold } = shown;
   const percent = (part, all) => `${((100 * part) / all).toFixed(1)} %`;
-  const kept = surfaces.filter((log10U) => log10U <= threshold).length;
-  const share = surfaces.length > 0 ? `: ${percent(kept, surfaces.length)} of visible surfaces stay` : '';
+  const share = kept === null ? '' : `: ${percent(kept, 1)} of the surface in view stays`;
   const words = threshold < prior ? `log10 U ≤ ${threshold.toFixed(2)}${share}` : 'the slider removes nothing';
   say('threshold-words', words);
+  const box = byId('hide-unseen');
+  [box.checked, box.disabled] = [removesUnseen(shown, prior), threshold < prior];
   const { gone, unseen, all } = model.removed(shown);
   const never = `${percent(unseen, all)} was never seen`;
   say('unseen-words', all > 0 ? `Of all ${model.noun} ${percent(gone, all)} is removed; ${never}.` : '');

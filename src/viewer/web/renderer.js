@@ -15,6 +15,7 @@ class Renderer {
     const wanted = { antialias: false, preserveDrawingBuffer: true, powerPreference: 'high-performance' };
     const gl = canvas.getContext('webgl2', wanted);
     if (!gl) throw new Error('This browser offers no WebGL2, which draws the model.');
+    if (gl.isContextLost()) throw new Error('The browser has taken the graphics context away: reload the page.');
     Object.assign(this, { gl, canvas, model });
     const { maps } = model.about;
     const rows = [maps.uncertainty, maps.depth].flat().flatMap((color) => [...color, 255]);

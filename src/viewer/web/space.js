@@ -30,6 +30,9 @@ function lengths({ contraction, core }) {
   return { anchor: scale(add(core.min, core.max), 0.5), unit: size, size, framed: norm(edges), span: size };
 }
 
+/** Whether matter that no training ray reached is removed: by its switch, or with the slider in use. */
+const removesUnseen = ({ threshold, hidesUnseen }, prior) => hidesUnseen || threshold < prior;
+
 /** A number for people: four digits, without an exponent where none is needed. */
 function words(x) {
   const size = Math.abs(x);

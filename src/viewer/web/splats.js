@@ -29,8 +29,9 @@ class Splats {
   }
 
   /** Whether slider and switch leave splat i. */
-  stays(i, { threshold, hidesUnseen }) {
-    return this.unseen[i] ? !hidesUnseen : this.log10U[i] <= threshold || threshold >= this.about.prior;
+  stays(i, shown) {
+    const { prior } = this.about;
+    return this.unseen[i] ? !removesUnseen(shown, prior) : this.log10U[i] <= shown.threshold || shown.threshold >= prior;
   }
 
   /** The splats that are left in front of a camera, from the farthest to the nearest along the view axis. */

@@ -73,7 +73,8 @@ class Volume {
   }
 
   /** What the slider and the switch remove of all matter, what was never seen of it, and all. */
-  removed({ threshold, hidesUnseen }) {
+  removed(shown) {
+    const { threshold } = shown;
     const { codes, prior, knowsUnseen } = this.about;
     const part = (threshold - codes.low) / (prior - codes.low);
     const last = threshold < prior ? 1 + (codes.last - 1) * part : codes.last;
@@ -81,7 +82,7 @@ class Volume {
     const first = knowsUnseen ? codes.last + 1 : codes.last;
     const sum = (of) => this.matterByCode.reduce((sum, weight, code) => sum + (of(code) ? weight : 0), 0);
     const [all, unseen] = [sum(() => true), sum((code) => code >= first)];
-    return { gone: sum((code) => code > Math.floor(last) && code < first) + (hidesUnseen ? unseen : 0), unseen, all };
+    return { gone: sum((code) => code > Math.floor(last) && code < first) + (removesUnseen(shown, prior) ? unseen : 0), unseen, all };
   }
 
   /** What is stored at a scene point: log10 U, whether it was seen, and in words the rest; null without matter. */
