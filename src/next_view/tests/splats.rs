@@ -226,8 +226,8 @@ fn a_side_that_no_training_ray_reached_is_known() {
     };
     let sides = [0.3, 0.3 + std::f64::consts::PI].map(at);
     let shares = |cameras: &[Camera]| {
-        let run = crate::estimate::Estimation::of_splats(&splats, cameras);
-        let run = run.rays(RaySettings::default().rays(20_000)).grid(crate::estimate::GridSettings::default().level(5));
+        let run = Estimation::of_splats(&splats, cameras);
+        let run = run.rays(RaySettings::default().rays(20_000)).grid(GridSettings::default().level(5));
         let field = run.run().unwrap().field;
         let found = NextView::of(Subject::Splats(&splats), &field, &sides).unseen().unwrap();
         [0, 1].map(|i| found[i].unwrap())
