@@ -154,6 +154,7 @@ const LONGEST_OWN: usize = 2000;
 const LONGEST_PATH: usize = 4096;
 
 /// A number of things in words, such as `1 frame` and `2 frames`.
+#[cfg(feature = "files")]
 pub(crate) fn counted(count: usize, noun: &str) -> String {
     let plural = if count == 1 { "" } else { "s" };
     format!("{count} {noun}{plural}")

@@ -131,7 +131,7 @@ fn intervals(shares: &[f64], all: f64, nominal: f64, what: &str) -> String {
         sign if sign > 0 && off > 0.0 => "too wide",
         sign if sign < 0 && off < 0.0 => "too narrow",
         _ if off.abs() <= FAR => "right, as far as so few views show",
-        _ => "not clearly right or wrong: views differ too much",
+        _ => "not clearly right or wrong, as views differ too much",
     };
     let [low, high] = [f64::min, f64::max].map(|f| shares.iter().copied().reduce(f).unwrap_or(f64::NAN));
     format!(

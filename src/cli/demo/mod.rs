@@ -154,9 +154,10 @@ impl Args {
         )?;
         say!("now try, for example")?;
         say!("  octobayes info {out}/field.oct")?;
-        // The trained model stores its cameras.
+        // The trained model stores its cameras, and the noise that makes U a length.
         let cameras = self.scene.as_ref().map_or(String::new(), |_| format!(" --cameras {out}/transforms.json"));
-        say!("  octobayes uncertainty {model}{cameras} --level 6 --rays 50000 -o {out}/again.oct")?;
+        let scale = if self.scene.is_none() { " --scale data" } else { "" };
+        say!("  octobayes uncertainty {model}{cameras}{scale} --level 6 --rays 50000 -o {out}/again.oct")?;
         say!("  octobayes render {model} {out}/again.oct{cameras} --frame 0 -o {out}/view.png")
     }
 

@@ -9,6 +9,7 @@ use crate::estimate::RaySettings;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
 use crate::geometry::{Camera, Domain};
 use crate::monitor::Monitor;
+use crate::posterior::DataScale;
 use crate::render::render_view;
 use crate::train::{Budget, Quality, Run, Shot, TrainSettings, Trainer, quality};
 
@@ -16,6 +17,8 @@ use crate::train::{Budget, Quality, Run, Shot, TrainSettings, Trainer, quality};
 const STEPS: u64 = 2000;
 /// Side of the training pictures, pixels. In the middle of the scene a pixel is as wide as a cell of level 7.
 const RESOLUTION: u32 = 160;
+/// Pixels of these pictures on which the noise that training left is measured.
+const NOISE_PIXELS: usize = 1 << 16;
 
 /// Settings of training.
 ///
@@ -59,8 +62,12 @@ pub fn train(seed: u64, bars: &dyn Monitor) -> Result<DemoModel> {
     if finished.interrupted {
         return Err(crate::Error::Interrupted);
     }
-    let about = serde_json::json!({ "source": scene.describe(), "images": train.len(), "steps": STEPS });
-    let field = trainer.field(about);
+    let field = trainer.field(serde_json::json!(null));
+    // As `train` stores it, so that U can be a length.
+    let noise = quality(&field, &train, Vec3::ONE, NOISE_PIXELS).map(|shown| DataScale::noise_of(shown.psnr));
+    let field = field.with_training(serde_json::json!({
+        "source": scene.describe(), "images": train.len(), "steps": STEPS, "training_noise": noise
+    }));
     let quality = quality(&field, &held_out, Vec3::ONE, usize::MAX);
     let truth = Truth::new(scene, &cameras, held_out.iter().map(|shot| shot.camera).collect());
     Ok(DemoModel { field, truth, held_out: quality })

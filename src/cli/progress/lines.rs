@@ -58,8 +58,8 @@ impl Lines {
         }
         self.printed = now;
         let share = self.done as f64 / self.total as f64;
-        let left =
-            left(share, elapsed).map_or(String::new(), |left| format!(", about {:.0} s left", left.as_secs_f64()));
+        let left = left(share, elapsed)
+            .map_or(String::new(), |left| format!(", about {:.0} s left", left.as_secs_f64().ceil()));
         let message = if self.message.is_empty() { String::new() } else { format!("; {}", self.message) };
         let Self { stage, done, total, .. } = self;
         Some(format!("{stage}: {done} of {total} ({:.0} %){left}{message}", 100.0 * share))
@@ -81,7 +81,7 @@ mod tests {
         assert_eq!(lines.advance(50, at(10)).unwrap(), "rays: 100 of 400 (25 %), about 18 s left");
         assert_eq!(lines.advance(50, at(19)), None);
         lines.message("step 7".into());
-        assert!(lines.advance(200, at(20)).unwrap().ends_with("(88 %), about 2 s left; step 7"));
+        assert!(lines.advance(200, at(20)).unwrap().ends_with("(88 %), about 3 s left; step 7"));
         assert_eq!(lines.advance(50, at(31)), None, "all is done");
         // Short stages share the ten seconds, and a stage without progress prints nothing.
         lines.begin("rows", 10, at(28));
