@@ -683,8 +683,8 @@ def evaluate(
     u: one field, or several by name. cameras: a camera file with images. depth: folder of depth maps, named by
     ``depth_pattern`` ({} is the frame's name without extension) and looked for below the directories of the frame's
     name, then in the folder itself; without it the maps are those that the camera file names (``depth_file_path``).
-    depth = offset + scale * p for ``depth_encoding`` (offset, scale), p from 0 to 1, or scene units in .exr, which have
-    no encoding. ray_average: by default ``u-spread-per-root-ray``. The other arguments are the command
+    depth = offset + scale * p for ``depth_encoding`` (offset, scale), p from 0 to 1, or scene units in .exr and .npy,
+    which have no encoding. ray_average: by default ``u-spread-per-root-ray``. The other arguments are the command
     line's (``octobayes evaluate --help``); views: how many, or frames by their numbers, or 'all'.
 
     Values that are no measurements (0, the largest value of a PNG, NaN, infinity, 1e10 of Blender, or depths far behind

@@ -78,8 +78,8 @@ impl DepthEncoding {
             (Some([offset, scale]), false) => Ok(Self { offset, scale, kind }),
             (None, true) => Ok(Self { offset: 0.0, scale: 1.0, kind }),
             (None, false) => {
-                let expected = "offset and scale of the depth maps (those in .exr and .npy are in scene units), such as \
-                            0,65.535 for 16 bits in millimetres of scenes in metres";
+                let expected = "offset and scale of the depth maps (those in .exr and .npy are in scene units), such \
+                                as 0,65.535 for 16 bits in millimetres of scenes in metres";
                 refused(expected, "none".into())
             }
             (Some([offset, scale]), true) => {

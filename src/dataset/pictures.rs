@@ -148,9 +148,12 @@ impl MaskFile {
 pub fn read_masks(frames: &[Frame]) -> Result<Vec<Option<Mask>>> {
     let read = |frame: &Frame| {
         let Some(file) = &frame.mask else { return Ok(None) };
-        // Masks of the original pictures may lie beside smaller ones.
+        // Masks of the original pictures may lie beside smaller ones, whose pixels are means.
         let own = Head::read(file.path()).map(|head| head.size).filter(|size| is_resized_map(*size, frame.size));
-        Ok(Some(file.read(own.unwrap_or(frame.size))?.resized(frame.camera.resolution)))
+        let mask = file.read(own.unwrap_or(frame.size))?;
+        let is_larger = mask.resolution()[0] > frame.size[0];
+        let mask = if is_larger { mask.shrunk(frame.size) } else { mask };
+        Ok(Some(mask.resized(frame.camera.resolution)))
     };
     frames.par_iter().map(read).collect()
 }
@@ -243,9 +246,18 @@ mod tests {
         assert_eq!(kept(MaskFile::Kept(path.clone()), camera.resized([2, 2])), ["#.", "##"]);
         assert_eq!(MaskFile::beside(&folder.path().join("01.jpg")), None);
 
-        let frame = Frame { mask: Some(MaskFile::Kept(path)), size: [8, 4], ..Frame::new(camera, "00", "") };
-        let error = read_masks(&[frame]).unwrap_err().to_string();
-        assert!(error.contains("mask: expected 8 x 4 pixels, found 4 x 2 pixels"), "{error}");
+        // Of a picture that became smaller, and of one that became larger; of another picture.
+        let of = |size: [u32; 2]| {
+            let frame = Frame { mask: Some(MaskFile::Kept(path.clone())), size, ..Frame::new(camera, "00", "") };
+            read_masks(&[Frame { camera: camera.resized(size), ..frame }]).map(|mut masks| masks.remove(0).unwrap())
+        };
+        let [small, large] = [[2, 1], [8, 4]].map(|size| of(size).unwrap());
+        assert_eq!([small.keeps(0, 0), small.keeps(1, 0)], [true, false]);
+        assert!(large.resolution() == [8, 4] && large.keeps(3, 3) && !large.keeps(4, 1) && large.keeps(6, 2));
+        for (size, found) in [([8, 8], "8 x 8"), ([5, 2], "5 x 2")] {
+            let error = of(size).unwrap_err().to_string();
+            assert!(error.contains(&format!("mask: expected {found} pixels, found 4 x 2 pixels")), "{error}");
+        }
     }
 
     #[test]
