@@ -224,6 +224,16 @@ mod tests {
     }
 
     #[test]
+    fn radians_in_place_of_degrees_are_warned_of() {
+        let warned = |fov: f64| {
+            let (source, mut said) = (CameraSource { fov: Some(fov), ..CameraSource::default() }, 0);
+            drop(source.read(Some((&ClosedForm::ball(), "ball")), &mut |_| said += 1));
+            said > 0
+        };
+        assert!(warned(0.7) && warned(3.0) && !warned(40.0));
+    }
+
+    #[test]
     fn a_width_alone_keeps_the_aspect_ratio() {
         let camera = Camera::look_at(DVec3::X, DVec3::ZERO, DVec3::Z, 0.7, [1080, 1920]);
         let small = Resolution::Width(200).apply(&camera);
