@@ -7,6 +7,7 @@ mod hemisphere;
 mod image;
 mod inria;
 mod intrinsics;
+mod jpeg;
 mod mask_folders;
 mod other_kinds;
 mod pictures;
@@ -28,9 +29,9 @@ pub use self::{
     depth::{DepthEncoding, DepthKind, DepthMap},
     frames::{FrameSplit, Part, test_partner},
     hemisphere::Hemisphere,
-    image::PosedImage,
+    image::{PosedImage, SampledImage, measure},
     inria::write_inria,
-    pictures::{MaskFile, check_masks, image_path, read_masks},
+    pictures::{MaskFile, check_masks, image_path, memory_of_masks, read_masks},
     points::PointReader,
     readings::{DepthReadings, LargestDepth, Unmeasured},
     transforms::write_transforms,

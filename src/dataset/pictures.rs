@@ -6,12 +6,15 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::Frame;
-use super::image::decode;
+use super::image::{decode, measure};
 use crate::geometry::Mask;
 use crate::{Error, Result};
 
 /// Extensions of pictures, in the order in which they are tried.
 const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
+
+/// Masks that take more bytes than this are decoded one at a time.
+const LARGE: u64 = 32_000_000;
 
 /// The picture of a frame named `file_path` in a camera file of `folder`.
 ///
@@ -81,41 +84,63 @@ impl MaskFile {
         path.is_file().then_some(Self::LeftOut(path))
     }
 
-    /// Reads the mask of a picture of `size` pixels.
+    /// Reads the mask of a picture of `size` pixels. A smaller or larger one counts by the pixels at the same places.
     fn read(&self, size: [u32; 2]) -> Result<Mask> {
-        // 16 bits hold both depths of pixels exactly, so that only 0 becomes 0.
-        let image = decode(self.path(), "mask", size)?.into_rgba16();
-        // Programs that cut objects out leave the shape in alpha, and any colour elsewhere. nerfstudio refuses alpha.
-        if let Some(clear) = image.pixels().position(|p| p.0[3] != u16::MAX) {
-            let (row, column) = (clear / size[0] as usize, clear % size[0] as usize);
-            let expected = "an opaque image, in which black is what counts; save its alpha channel as a grey image";
-            let found = format!("a pixel that is not opaque in row {row}, column {column}");
-            return Err(Error::malformed(self.path(), "mask", expected, found));
+        let (own, _) = measure(self.path(), "mask")?;
+        let [[w, h], [own_w, own_h]] = [size, own].map(|size| size.map(f64::from));
+        // The same view at another size has sides that were rounded.
+        let is_like = (own_h - h * own_w / w).abs() <= 1.0 || (own_w - w * own_h / h).abs() <= 1.0;
+        let image = decode(self.path(), "mask", if is_like { own } else { size })?;
+        let mut is_black = Vec::with_capacity(own[0] as usize * own[1] as usize);
+        let (mut first, mut is_of_one_color) = (None, true);
+        for row in 0..own[1] {
+            // 16 bits hold both depths of pixels exactly, so that only 0 becomes 0.
+            let pixels = image.crop_imm(0, row, own[0], 1).into_rgba16();
+            // Programs that cut objects out leave the shape in alpha, and any colour elsewhere. nerfstudio refuses it.
+            if let Some(column) = pixels.pixels().position(|p| p.0[3] != u16::MAX) {
+                let expected = "an opaque image, in which black is what counts; save its alpha channel as a grey image";
+                let found = format!("a pixel that is not opaque in row {row}, column {column}");
+                return Err(Error::malformed(self.path(), "mask", expected, found));
+            }
+            is_of_one_color &= pixels.pixels().all(|pixel| pixel == first.get_or_insert(*pixel));
+            // instant-ngp looks at the first channel only, nerfstudio has one only.
+            is_black.extend(pixels.pixels().map(|p| p.0[..3] == [0; 3]));
         }
-        // instant-ngp looks at the first channel only, nerfstudio has one only.
-        let is_black: Vec<bool> = image.pixels().map(|p| p.0[..3] == [0; 3]).collect();
         // A palette may give the pixels that do not count any colour, and a JPEG makes black nearly black.
-        let first = image.get_pixel(0, 0);
-        if !is_black.contains(&true) && image.pixels().any(|pixel| pixel != first) {
+        if !is_black.contains(&true) && !is_of_one_color {
             let expected = "an image of one colour, or with pixels that are exactly black; save it as a grey PNG";
             return Err(Error::malformed(self.path(), "mask", expected, "several colours, none of them black"));
         }
         let keeps_black = matches!(self, Self::LeftOut(_));
-        let at = |column: u32, row: u32| row as usize * size[0] as usize + column as usize;
-        Ok(Mask::new(size, |column, row| is_black[at(column, row)] == keeps_black))
+        let at = |column: u32, row: u32| row as usize * own[0] as usize + column as usize;
+        Ok(Mask::new(own, |column, row| is_black[at(column, row)] == keeps_black).resized(size))
     }
 }
 
 /// Reads the masks of frames, at the size of their cameras; none for frames without one.
 ///
 /// # Errors
-/// If a mask is missing, damaged, of another size than its picture, not opaque, or of several colours without black.
+/// If a mask is missing, damaged, of another shape than its picture, not opaque, or of several colours without black.
 pub fn read_masks(frames: &[Frame]) -> Result<Vec<Option<Mask>>> {
     let read = |frame: &Frame| {
         let Some(file) = &frame.mask else { return Ok(None) };
         Ok(Some(file.read(frame.size)?.resized(frame.camera.resolution)))
     };
+    // Large ones one at a time, as memory is planned for one.
+    if memory_of_masks(&frames[..frames.len().min(1)]) > LARGE {
+        return frames.iter().map(read).collect();
+    }
     frames.par_iter().map(read).collect()
+}
+
+/// Memory that it takes to decode the largest mask of these frames, bytes.
+#[must_use]
+pub fn memory_of_masks(frames: &[Frame]) -> u64 {
+    let memory = |frame: &Frame| {
+        let ([w, h], bytes) = measure(frame.mask.as_ref()?.path(), "mask").ok()?;
+        Some(bytes + u64::from(w) * u64::from(h))
+    };
+    frames.iter().filter_map(memory).max().unwrap_or(0)
 }
 
 /// Refuses frames whose masks keep nothing at all.
@@ -206,9 +231,16 @@ mod tests {
         assert_eq!(kept(MaskFile::Kept(path.clone()), camera.resized([2, 2])), ["#.", "##"]);
         assert_eq!(MaskFile::beside(&folder.path().join("01.jpg")), None);
 
-        let frame = Frame { mask: Some(MaskFile::Kept(path)), size: [8, 4], ..Frame::new(camera, "00", "") };
-        let error = read_masks(&[frame]).unwrap_err().to_string();
-        assert!(error.contains("mask: expected 8 x 4 pixels, found 4 x 2 pixels"), "{error}");
+        // A mask of half the picture's size stands for blocks of it; one of another shape for no picture.
+        let of = |size: [u32; 2]| {
+            let mask = Some(MaskFile::Kept(path.clone()));
+            read_masks(&[Frame { mask, size, ..Frame::new(camera.resized(size), "00", "") }])
+        };
+        let mask = of([8, 4]).unwrap().remove(0).unwrap();
+        let rows = (0..4).map(|y| (0..8).map(|x| if mask.keeps(x, y) { '#' } else { '.' }).collect::<String>());
+        assert_eq!(rows.collect::<Vec<_>>(), ["####....", "####....", "####..##", "####..##"]);
+        let error = of([8, 8]).unwrap_err().to_string();
+        assert!(error.contains("mask: expected 8 x 8 pixels, found 4 x 2 pixels"), "{error}");
     }
 
     #[test]
