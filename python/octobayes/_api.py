@@ -168,7 +168,8 @@ def _image_options(
     if pixel_offset is None and isinstance(nerf, Opened):
         pixel_offset = record.get("pixel_offset")
     return {
-        "background": color("background", "white" if background is None else background),
+        # Without one, what lies beside splats decides, or else it is white.
+        "background": None if background is None else color("background", background),
         "march_step": None if march_step is None else real("march_step", march_step, above=0),
         "pixel_offset": None if pixel_offset is None else real("pixel_offset", pixel_offset, low=0),
         "occupancy": whole("occupancy", occupancy, 4, 512),

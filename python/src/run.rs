@@ -7,6 +7,7 @@ use octobayes::dataset::{Frame, MaskFile, Part, ResolutionSource, Views, camera_
 use octobayes::estimate::{Checkpoint, Goal, Subject};
 use octobayes::evaluate::{Remark, TrainingImages};
 use octobayes::geometry::{Camera, Mask};
+use octobayes::glam::Vec3;
 use octobayes::session::{CameraSource, OpenedModel, Session};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -100,6 +101,7 @@ pub fn uncertainty(
     let views = views(&options, &cameras)?;
     let chosen = source.opened().is_some_and(|opened| opened.coordinates.is_some());
     let checksum = source.opened().map(|opened| opened.checksum);
+    let model_file = source.opened().map(|opened| PathBuf::from(&opened.name));
     let images = match options.get::<PathBuf>("images")? {
         Some(folder) => Some(TrainingImages::find(&folder, &views.frames).or_raise()?),
         None => options.get::<Vec<String>>("image_files")?.map(|files| images(&files, &cameras)).transpose()?,
@@ -117,6 +119,8 @@ pub fn uncertainty(
         .checksum(checksum)
         .domain(options.domain()?)
         .rays(options.rays()?)
+        .background(options.get("background")?.map(Vec3::from_array))
+        .model_file(model_file)
         .grid(options.grid()?)
         .choices(options.choices()?)
         .goal(goal)

@@ -1,37 +1,64 @@
 //! Training and test images.
 
+use std::fs::File;
+use std::io::BufReader;
 use std::path::Path;
 
 use glam::DVec3;
-use image::{DynamicImage, ImageError, ImageReader};
+use image::{DynamicImage, GenericImageView, ImageDecoder, ImageError, ImageFormat, ImageReader};
 use rayon::prelude::*;
 
+use super::jpeg;
 use super::sizes::{Head, is_resized};
 use super::views::Frame;
-use crate::geometry::covered;
+use crate::geometry::{MAX_PIXELS, covered};
 use crate::{Error, Result};
 
 /// Decodes a PNG or JPEG of known size. The size in the file is compared with it before memory is allocated.
 ///
 /// # Errors
-/// If the file is missing or damaged, or its size differs.
+/// If the file is missing, damaged or cut short, or its size differs.
 pub(super) fn decode(path: &Path, what: &str, resolution: [u32; 2]) -> Result<DynamicImage> {
-    let wrong = |e| match e {
-        // Errors of the system carry a number; those of the decoder concern the content.
-        ImageError::IoError(e) if e.raw_os_error().is_some() => Error::io(path, "cannot read")(e),
-        e => Error::malformed(path, what, "a PNG or JPEG", e.to_string()),
-    };
+    let file = open(path)?;
+    if file.format() == Some(ImageFormat::Jpeg) {
+        Head::read(path).map_or(Ok(()), |head| head.check(path, what, resolution))?;
+        return jpeg::decode(path, what, crate::io::read(path)?, resolution);
+    }
+    let mut decoder = file.into_decoder().map_err(|e| wrong(path, what, e))?;
+    Head::of(&mut decoder).check(path, what, resolution)?;
+    DynamicImage::from_decoder(decoder).map_err(|e| wrong(path, what, e))
+}
+
+/// Width and height of an image, from its first bytes, and how much memory decoding it takes.
+///
+/// # Errors
+/// If the file is missing, is no PNG or JPEG, or has more pixels than any image may have.
+pub fn measure(path: &Path, what: &str) -> Result<([u32; 2], u64)> {
+    let file = open(path)?;
+    let is_jpeg = file.format() == Some(ImageFormat::Jpeg);
+    let decoder = file.into_decoder().map_err(|e| wrong(path, what, e))?;
+    let (w, h) = decoder.dimensions();
+    let pixels = u64::from(w) * u64::from(h);
+    if pixels as f64 > MAX_PIXELS {
+        return Err(Error::malformed(path, what, "a PNG or JPEG", format!("{w} x {h} pixels")));
+    }
+    let bytes = if is_jpeg { jpeg::working_memory(&crate::io::read(path)?, pixels) } else { decoder.total_bytes() };
+    Ok(([w, h], bytes))
+}
+
+fn open(path: &Path) -> Result<ImageReader<BufReader<File>>> {
     crate::io::refuse_pipe(path)?;
     let file = ImageReader::open(path).map_err(Error::io(path, "cannot open"))?;
     // The content decides: a JPEG named like a PNG is still a JPEG.
-    let file = file.with_guessed_format().map_err(Error::io(path, "cannot read"))?;
-    let mut decoder = file.into_decoder().map_err(wrong)?;
-    let head = Head::of(&mut decoder);
-    if head.size != resolution {
-        let [expected, found] = head.expected_and_found(resolution);
-        return Err(Error::malformed(path, what, expected, found));
+    file.with_guessed_format().map_err(Error::io(path, "cannot read"))
+}
+
+fn wrong(path: &Path, what: &str, error: ImageError) -> Error {
+    match error {
+        // Errors of the system carry a number; those of the decoder concern the content.
+        ImageError::IoError(e) if e.raw_os_error().is_some() => Error::io(path, "cannot read")(e),
+        e => Error::malformed(path, what, "a PNG or JPEG", e.to_string()),
     }
-    DynamicImage::from_decoder(decoder).map_err(wrong)
 }
 
 /// An 8-bit image with alpha, read as linear fractions in [0, 1] of its own (sRGB-like) colour space.
@@ -41,6 +68,14 @@ pub struct PosedImage {
     pub resolution: [u32; 2],
     /// `[height · width]`: red, green, blue, alpha; straight alpha.
     pixels: Vec<[u8; 4]>,
+}
+
+/// Some pixels of an image.
+pub struct SampledImage {
+    /// These pixels, in a row.
+    pub pixels: PosedImage,
+    /// Whether all pixels of the image are alike, as in the placeholder of a picture.
+    pub is_of_one_color: bool,
 }
 
 impl PosedImage {
@@ -118,6 +153,19 @@ impl PosedImage {
         Self { resolution, pixels }
     }
 
+    /// Reads the pixels of these columns and rows alone, so that no more than the decoded image is held.
+    ///
+    /// # Errors
+    /// As [`PosedImage::read`].
+    pub fn sample(path: &Path, resolution: [u32; 2], at: &[[u32; 2]]) -> Result<SampledImage> {
+        let image = decode(path, "image", resolution)?;
+        let mut all = image.as_bytes().chunks_exact(usize::from(image.color().bytes_per_pixel()));
+        let first = all.next();
+        let is_of_one_color = all.all(|pixel| Some(pixel) == first);
+        let pixels = at.iter().map(|&[column, row]| image.get_pixel(column, row).0).collect();
+        Ok(SampledImage { pixels: Self::new([at.len() as u32, 1], pixels), is_of_one_color })
+    }
+
     /// Colour of pixel `i` over a background.
     #[must_use]
     pub fn over(&self, i: usize, background: DVec3) -> DVec3 {
@@ -135,12 +183,6 @@ impl PosedImage {
     #[must_use]
     pub fn is_opaque(&self, i: usize) -> bool {
         self.pixels[i][3] == 255
-    }
-
-    /// Returns true if all pixels are alike, as in the placeholder of a picture.
-    #[must_use]
-    pub fn is_of_one_color(&self) -> bool {
-        self.pixels.iter().all(|pixel| *pixel == self.pixels[0])
     }
 
     /// Number of pixels.

@@ -7,6 +7,7 @@ mod hemisphere;
 mod image;
 mod inria;
 mod intrinsics;
+mod jpeg;
 mod mask_folders;
 mod nerfstudio;
 mod other_kinds;
@@ -31,9 +32,9 @@ pub use self::{
     depth::{DepthEncoding, DepthKind, DepthMap},
     frames::{FrameSplit, Part, passed_over, taken_for, test_partner},
     hemisphere::Hemisphere,
-    image::PosedImage,
+    image::{PosedImage, SampledImage, measure},
     inria::inria_text,
-    pictures::{MaskFile, check_masks, image_path, read_masks},
+    pictures::{MaskFile, check_masks, image_path, memory_of_masks, read_masks},
     points::PointReader,
     readings::{DepthReadings, LargestDepth, Unmeasured},
     sizes::has_shape,

@@ -6,14 +6,17 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::Frame;
-use super::image::decode;
-use super::sizes::{Head, is_resized_map};
+use super::image::{decode, measure};
+use super::sizes::is_resized_map;
 use crate::geometry::Mask;
 use crate::io::place::folder_of;
 use crate::{Error, Result};
 
 /// Extensions of pictures, in the order in which they are tried.
 const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
+
+/// Masks that take more bytes than this are decoded one at a time.
+const LARGE: u64 = 32_000_000;
 
 /// The picture of a frame named `file_path` in a camera file of `folder`.
 ///
@@ -116,46 +119,63 @@ impl MaskFile {
         path.is_file().then_some(Self::LeftOut(path))
     }
 
-    /// Reads the mask of a picture of `size` pixels.
+    /// Reads the mask of a picture of `size` pixels. In a smaller one the pixels at the same places
+    /// count; of a larger one all that a pixel covers.
     fn read(&self, size: [u32; 2]) -> Result<Mask> {
-        // 16 bits hold both depths of pixels exactly, so that only 0 becomes 0.
-        let image = decode(self.path(), "mask", size)?.into_rgba16();
-        // Programs that cut objects out leave the shape in alpha, and any colour elsewhere. nerfstudio refuses alpha.
-        if let Some(clear) = image.pixels().position(|p| p.0[3] != u16::MAX) {
-            let (row, column) = (clear / size[0] as usize, clear % size[0] as usize);
-            let expected = "an opaque image, in which black is what counts; save its alpha channel as a grey image";
-            let found = format!("a pixel that is not opaque in row {row}, column {column}");
-            return Err(Error::malformed(self.path(), "mask", expected, found));
+        let (own, _) = measure(self.path(), "mask")?;
+        let image = decode(self.path(), "mask", if is_resized_map(own, size) { own } else { size })?;
+        let mut is_black = Vec::with_capacity(own[0] as usize * own[1] as usize);
+        let (mut first, mut is_of_one_color) = (None, true);
+        for row in 0..own[1] {
+            // 16 bits hold both depths of pixels exactly, so that only 0 becomes 0.
+            let pixels = image.crop_imm(0, row, own[0], 1).into_rgba16();
+            // Programs that cut objects out leave the shape in alpha, and any colour elsewhere. nerfstudio refuses it.
+            if let Some(column) = pixels.pixels().position(|p| p.0[3] != u16::MAX) {
+                let expected = "an opaque image, in which black is what counts; save its alpha channel as a grey image";
+                let found = format!("a pixel that is not opaque in row {row}, column {column}");
+                return Err(Error::malformed(self.path(), "mask", expected, found));
+            }
+            is_of_one_color &= pixels.pixels().all(|pixel| pixel == first.get_or_insert(*pixel));
+            // instant-ngp looks at the first channel only, nerfstudio has one only.
+            is_black.extend(pixels.pixels().map(|p| p.0[..3] == [0; 3]));
         }
-        // instant-ngp looks at the first channel only, nerfstudio has one only.
-        let is_black: Vec<bool> = image.pixels().map(|p| p.0[..3] == [0; 3]).collect();
         // A palette may give the pixels that do not count any colour, and a JPEG makes black nearly black.
-        let first = image.get_pixel(0, 0);
-        if !is_black.contains(&true) && image.pixels().any(|pixel| pixel != first) {
+        if !is_black.contains(&true) && !is_of_one_color {
             let expected = "an image of one colour, or with pixels that are exactly black; save it as a grey PNG";
             return Err(Error::malformed(self.path(), "mask", expected, "several colours, none of them black"));
         }
         let keeps_black = matches!(self, Self::LeftOut(_));
-        let at = |column: u32, row: u32| row as usize * size[0] as usize + column as usize;
-        Ok(Mask::new(size, |column, row| is_black[at(column, row)] == keeps_black))
+        let at = |column: u32, row: u32| row as usize * own[0] as usize + column as usize;
+        let mask = Mask::new(own, |column, row| is_black[at(column, row)] == keeps_black);
+        // Masks of the original pictures may lie beside smaller ones, whose pixels are means.
+        Ok(if own[0] > size[0] { mask.shrunk(size) } else { mask.resized(size) })
     }
 }
 
 /// Reads the masks of frames, at the size of their cameras; none for frames without one.
 ///
 /// # Errors
-/// If a mask is missing, damaged, of another size than its picture, not opaque, or of several colours without black.
+/// If a mask is missing, damaged, of another shape than its picture, not opaque, or of several colours without black.
 pub fn read_masks(frames: &[Frame]) -> Result<Vec<Option<Mask>>> {
     let read = |frame: &Frame| {
         let Some(file) = &frame.mask else { return Ok(None) };
-        // Masks of the original pictures may lie beside smaller ones, whose pixels are means.
-        let own = Head::read(file.path()).map(|head| head.size).filter(|size| is_resized_map(*size, frame.size));
-        let mask = file.read(own.unwrap_or(frame.size))?;
-        let is_larger = mask.resolution()[0] > frame.size[0];
-        let mask = if is_larger { mask.shrunk(frame.size) } else { mask };
-        Ok(Some(mask.resized(frame.camera.resolution)))
+        Ok(Some(file.read(frame.size)?.resized(frame.camera.resolution)))
     };
+    // Large ones one at a time, as memory is planned for one.
+    if memory_of_masks(&frames[..frames.len().min(1)]) > LARGE {
+        return frames.iter().map(read).collect();
+    }
     frames.par_iter().map(read).collect()
+}
+
+/// Memory that it takes to decode the largest mask of these frames, bytes.
+#[must_use]
+pub fn memory_of_masks(frames: &[Frame]) -> u64 {
+    let memory = |frame: &Frame| {
+        let ([w, h], bytes) = measure(frame.mask.as_ref()?.path(), "mask").ok()?;
+        Some(bytes + u64::from(w) * u64::from(h))
+    };
+    frames.iter().filter_map(memory).max().unwrap_or(0)
 }
 
 /// Refuses frames whose masks keep nothing at all.

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use super::views::Views;
 use crate::error::printable;
 use crate::geometry::MAX_PIXELS;
+use crate::{Error, Result};
 
 /// First bytes of a picture that are read, more if its size does not stand in them: thumbnails and profiles come first.
 const FIRST: [u64; 3] = [1 << 14, 1 << 18, 1 << 24];
@@ -86,6 +87,15 @@ impl Head {
     /// Whether the size does not show if cameras are those of the picture as it is stored, or as EXIF turns it.
     fn is_ambiguous(self) -> bool {
         self.orientation > 1 && (self.orientation < 5 || self.size[0] == self.size[1])
+    }
+
+    /// Refuses a picture of another size than its camera's.
+    pub fn check(self, path: &Path, what: &str, camera: [u32; 2]) -> Result<()> {
+        if self.size == camera {
+            return Ok(());
+        }
+        let [expected, found] = self.expected_and_found(camera);
+        Err(Error::malformed(path, what, expected, found))
     }
 
     /// What a picture must be for a camera of this size and what it is, if these differ.

@@ -118,6 +118,8 @@ pub struct Estimation<'a> {
     pub(super) source: String,
     /// Checksum of the model's content, if known.
     pub(super) model: Option<u32>,
+    /// Bytes that decoding the largest picture takes.
+    pub(super) picture: u64,
     pub(super) monitor: &'a dyn Monitor,
     pub(super) tap: Option<Tap<'a>>,
 }
@@ -150,6 +152,7 @@ impl<'a> Estimation<'a> {
             checkpoint: None,
             source,
             model: None,
+            picture: 0,
             monitor: &Silent,
             tap: None,
         }
@@ -213,6 +216,12 @@ impl<'a> Estimation<'a> {
     /// this checksum instead of a name.
     pub fn model(self, checksum: u32) -> Self {
         Self { model: Some(checksum), ..self }
+    }
+
+    /// Sets the bytes that decoding a picture takes before the first ray, one picture at a time. A plan foresees them,
+    /// if they fit into its budget.
+    pub fn picture(self, bytes: u64) -> Self {
+        Self { picture: bytes, ..self }
     }
 
     /// Sets the monitor, which receives progress and can stop the run.

@@ -6,6 +6,8 @@
 //!   says how much that is during the pilot, which draws rays as the run does.
 //! - *summing*: sums of vertices, by the pilot's [`SpeciesEstimate`].
 //! - *finishing*: the field, made while the sums are still there.
+//!
+//! Pictures are decoded before there are sums, so that the larger of both counts.
 
 use std::time::{Duration, Instant};
 
@@ -65,6 +67,8 @@ pub struct Plan {
     pub spare: f64,
     /// What the process holds beside sums and field, bytes.
     pub outside: f64,
+    /// What decoding pictures takes before there are sums, bytes.
+    pub picture: f64,
     /// Expected size of the field's file, bytes.
     pub file: f64,
     /// Expected time.
@@ -77,7 +81,7 @@ impl Plan {
     /// Expected peak memory of the process, bytes.
     #[must_use]
     pub fn peak(&self) -> f64 {
-        self.outside + self.spare + self.summing + self.finishing
+        self.outside + self.picture.max(self.spare + self.summing + self.finishing)
     }
 
     /// Expected peak memory of the process if its sums come to so much.
@@ -88,7 +92,7 @@ impl Plan {
             Some(count) => count as f64 * self.finishing / self.vertices.max(1.0),
             None => used * self.finishing / self.summing.max(1.0),
         };
-        self.outside + spare as f64 + used + finishing
+        self.outside + self.picture.max(spare as f64 + used + finishing)
     }
 }
 
@@ -146,6 +150,7 @@ pub struct Planner {
     own_scale: f64,
     is_part: bool,
     outside: f64,
+    picture: f64,
     /// What earlier attempts took.
     correction: Correction,
     time: Duration,
@@ -219,6 +224,7 @@ impl Planner {
             own_scale,
             is_part,
             outside,
+            picture: 0.0,
             correction: Correction { sums: 1.0, vertices: 1.0 },
             time: match preparing {
                 None => start.elapsed().mul_f64(own_scale),
@@ -227,6 +233,13 @@ impl Planner {
                 }
             },
         })
+    }
+
+    /// The planner of a run that decodes a picture of so many bytes, unless the budget has no room for it.
+    #[must_use]
+    pub fn with_picture(self, bytes: u64) -> Self {
+        let room = self.settings.memory.map_or(f64::INFINITY, |budget| budget as f64 - self.outside);
+        Self { picture: Some(bytes as f64).filter(|&bytes| bytes <= room).unwrap_or(0.0), ..self }
     }
 
     /// The tile of the settings, with the box that the run's rays give it.
@@ -281,6 +294,7 @@ impl Planner {
             finishing: vertices * (VALUES + structure + f64::max(building, gathered as f64)),
             spare,
             outside,
+            picture: self.picture,
             file: vertices * (VALUES + stored + in_file) + 12.0 * SURFACE_POINTS as f64,
             time: self.time,
             given_up,

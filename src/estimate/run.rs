@@ -168,8 +168,16 @@ impl<'a> Run<'a> {
     }
 
     fn pilot(&self, stream: &RayStream) -> Result<Planner> {
-        let Estimation { rays, grid, monitor, .. } = &self.settings;
-        Planner::new(*grid, rays, stream, self.settings.own_shard(), self.lattice, *monitor)
+        let Estimation { rays, grid, monitor, picture, .. } = &self.settings;
+        let planner = Planner::new(*grid, rays, stream, self.settings.own_shard(), self.lattice, *monitor)?;
+        Ok(planner.with_picture(*picture))
+    }
+
+    /// Bytes that a budget leaves for pictures before the first ray; `None` without a budget.
+    #[must_use]
+    pub fn room_for_pictures(&self) -> Option<u64> {
+        let plan = self.limits.plan.as_ref()?;
+        self.settings.grid.memory.map(|budget| budget.saturating_sub(plan.outside as u64))
     }
 
     /// Measures, on a few thousand rays, whether the cameras see anything of the field within its domain.

@@ -1,14 +1,10 @@
 //! Whether a model shows the images that lie beside its cameras: cameras of another scene, or poses in other axes, give
 //! a field that looks as good as any.
 
-use std::path::Path;
-
 use glam::{DVec3, Vec3};
-use image::ImageReader;
-use rayon::prelude::*;
 
-use crate::dataset::{Frame, PosedImage, read_masks};
-use crate::geometry::{Camera, MAX_PIXELS, inverted, opencv};
+use crate::dataset::{Frame, PosedImage, SampledImage, measure, read_masks};
+use crate::geometry::{Camera, inverted, opencv};
 use crate::metrics::psnr;
 use crate::monitor::{Monitor, check};
 use crate::render::{Renderer, Tracer, VolumeRenderer};
@@ -31,6 +27,12 @@ const NOTHING: f64 = 8.0;
 /// What another background or other poses must gain to be named, dB: half of the squared error.
 const MORE: f64 = 3.0;
 
+/// The same if the images have alpha, dB, and the PSNR beyond which their rounding decides.
+const MORE_WITH_ALPHA: f64 = 1.0;
+const EXACT: f64 = 40.0;
+/// What one background must gain over the other to be taken, dB.
+const CLEAR: f64 = 1.0;
+
 /// Mean opacity of the pixels from which other poses see the model.
 const SEEN: f64 = 0.05;
 
@@ -46,6 +48,8 @@ pub struct ImageCheck {
     pub pixels: usize,
     /// PSNR over these pixels, dB.
     pub psnr: f64,
+    /// PSNR over these pixels in front of white and of black, dB.
+    pub backgrounds: [f64; 2],
     /// The background that shows the images best, white or black, and its PSNR, if it gains much.
     pub background: Option<(&'static str, f64)>,
     /// The reading of the poses that shows the images best, and its PSNR, if it gains much.
@@ -62,13 +66,32 @@ pub struct ImageCheck {
     pub is_trained_on: bool,
 }
 
+/// The frames with an image.
+fn beside(frames: &[Frame]) -> Vec<&Frame> {
+    frames.iter().filter(|frame| frame.image.is_file()).collect()
+}
+
+/// Those of them that are compared.
+fn chosen<'a>(beside: &[&'a Frame]) -> Vec<&'a Frame> {
+    let used = beside.len().min(IMAGES);
+    (0..used).map(|i| beside[(2 * i + 1) * beside.len() / (2 * used)]).collect()
+}
+
+/// Memory that it takes to decode the largest of the images that are compared, bytes.
+#[must_use]
+pub fn memory_of_images(frames: &[Frame]) -> u64 {
+    let chosen = chosen(&beside(frames)).into_iter();
+    chosen.filter_map(|frame| measure(&frame.image, "image").ok()).map(|(_, bytes)| bytes).max().unwrap_or(0)
+}
+
 /// Some pixels of an image, and the camera that took it.
 struct Shown {
     camera: Camera,
-    image: PosedImage,
-    /// Image points, pixels of the camera; and the same pixels in the image.
+    /// Size of the image, pixels.
+    size: [u32; 2],
+    /// Image points, pixels of the camera; and the same pixels of the image.
     points: Vec<[f64; 2]>,
-    pixels: Vec<usize>,
+    image: SampledImage,
 }
 
 /// How the poses of a camera file may have been meant.
@@ -78,8 +101,9 @@ type Reading = fn(&Camera) -> Camera;
 type Rendered = Vec<(DVec3, f64)>;
 
 /// Compares some pixels of the images that lie beside `frames` with what the tracer renders there. `None` without
-/// images. Images of another size than their camera's are compared at the same place relative to their sides; masked
-/// pixels and images of one colour are left out.
+/// images. An image that takes more than `room` bytes to decode is counted as unread. Images of another size than their
+/// camera's are compared at the same place relative to their sides; masked pixels and images of one colour are left
+/// out.
 ///
 /// The same pixels every time, whatever the number of threads.
 ///
@@ -89,13 +113,14 @@ pub fn check_images(
     tracer: &Tracer,
     frames: &[Frame],
     pixel_offset: f64,
+    room: Option<u64>,
     monitor: &dyn Monitor,
 ) -> Result<Option<ImageCheck>> {
     let (field, renderer) = (tracer.field, VolumeRenderer { tracer: tracer.clone(), differentiation: None });
     let length = field.bounds().longest_edge();
     let is_stored =
         |frame: &&Frame| field.training_cameras().iter().any(|known| known.camera.is_like(&frame.camera, length));
-    compare(&renderer, frames, pixel_offset, monitor, |beside| ImageCheck {
+    compare(&renderer, frames, pixel_offset, room, monitor, |beside| ImageCheck {
         is_trained_on: beside.iter().any(is_stored),
         ..ImageCheck::default()
     })
@@ -109,10 +134,11 @@ pub fn check_splat_images(
     splats: &SplatRenderer,
     frames: &[Frame],
     pixel_offset: f64,
+    room: Option<u64>,
     monitor: &dyn Monitor,
 ) -> Result<Option<ImageCheck>> {
     let of_splats = |_: &[&Frame]| ImageCheck { is_of_splats: true, ..ImageCheck::default() };
-    compare(splats, frames, pixel_offset, monitor, of_splats)
+    compare(splats, frames, pixel_offset, room, monitor, of_splats)
 }
 
 /// Compares pixels; `known` has what the model itself says of frames with images.
@@ -120,19 +146,19 @@ fn compare(
     renderer: &dyn Renderer,
     frames: &[Frame],
     pixel_offset: f64,
+    room: Option<u64>,
     monitor: &dyn Monitor,
     known: impl Fn(&[&Frame]) -> ImageCheck,
 ) -> Result<Option<ImageCheck>> {
-    let beside: Vec<&Frame> = frames.iter().filter(|frame| frame.image.is_file()).collect();
-    let used = beside.len().min(IMAGES);
-    let chosen: Vec<&Frame> = (0..used).map(|i| beside[(2 * i + 1) * beside.len() / (2 * used)]).collect();
-    let read = |frame: &&Frame| check(monitor).map(|()| Shown::read(frame, pixel_offset));
-    let read: Vec<Result<Shown>> = chosen.par_iter().map(read).collect::<Result<_>>()?;
+    let beside = beside(frames);
+    // One at a time, so that no more than one is held, as the plan foresees.
+    let read = |frame: &Frame| check(monitor).map(|()| Shown::read(frame, pixel_offset, room));
+    let read: Vec<Result<Shown>> = chosen(&beside).into_iter().map(read).collect::<Result<_>>()?;
     let why: Vec<String> = read.iter().filter_map(|read| read.as_ref().err()).map(ToString::to_string).collect();
     let unread = why.first().map(|first| (why.len(), first.clone()));
-    let read: Vec<Shown> = read.into_iter().filter_map(Result::ok).filter(|shown| !shown.pixels.is_empty()).collect();
-    let (blank, shown): (Vec<Shown>, Vec<Shown>) = read.into_iter().partition(|shown| shown.image.is_of_one_color());
-    let pixels: usize = shown.iter().map(|shown| shown.pixels.len()).sum();
+    let read: Vec<Shown> = read.into_iter().filter_map(Result::ok).filter(|shown| !shown.points.is_empty()).collect();
+    let (blank, shown): (Vec<Shown>, Vec<Shown>) = read.into_iter().partition(|shown| shown.image.is_of_one_color);
+    let pixels: usize = shown.iter().map(|shown| shown.points.len()).sum();
     let mut found = ImageCheck {
         images: shown.len(),
         pixels,
@@ -152,8 +178,14 @@ fn compare(
     let best = |found: &mut dyn Iterator<Item = (&'static str, f64)>| found.max_by(|a, b| a.1.total_cmp(&b.1));
     let fair = found.fair();
     let gains = |(_, other): &(&str, f64)| *other >= (found.psnr + MORE).max(fair);
-    let others = BACKGROUNDS.iter().map(|(name, color)| (*name, psnr_over(&shown, &rendered, color.as_dvec3())));
-    found.background = best(&mut others.into_iter()).filter(gains);
+    found.backgrounds = BACKGROUNDS.map(|(_, color)| psnr_over(&shown, &rendered, color.as_dvec3()));
+    let has_alpha = shown.iter().any(|shown| (0..shown.points.len()).any(|i| !shown.image.pixels.is_opaque(i)));
+    // Images with alpha fit nearly as well in front of a background that the training never had.
+    let gains_with_alpha = |(_, other): &(&str, f64)| {
+        has_alpha && found.psnr < EXACT && *other >= (found.psnr + MORE_WITH_ALPHA).max(fair)
+    };
+    let others = BACKGROUNDS.iter().zip(found.backgrounds).map(|((name, _), psnr)| (*name, psnr));
+    found.background = best(&mut others.into_iter()).filter(|other| gains(other) || gains_with_alpha(other));
     if found.psnr < fair && found.background.is_none() {
         let readings: [(&str, Reading); 3] = [
             ("OpenCV axes (y down, looking along +z) in place of OpenGL's", opencv),
@@ -174,9 +206,14 @@ fn compare(
 }
 
 impl Shown {
-    fn read(frame: &Frame, pixel_offset: f64) -> Result<Self> {
+    fn read(frame: &Frame, pixel_offset: f64, room: Option<u64>) -> Result<Self> {
         let camera = frame.camera;
-        let image = PosedImage::read(&frame.image, size(&frame.image)?)?;
+        let (size, bytes) = measure(&frame.image, "image")?;
+        if let Some(room) = room.filter(|&room| bytes > room) {
+            let [bytes, room] = [bytes, room].map(|bytes| bytes.div_ceil(1_000_000));
+            let expected = format!("at most {room} MB to decode it, what the memory budget leaves");
+            return Err(Error::malformed(&frame.image, "image", expected, format!("{bytes} MB")));
+        }
         let mask = read_masks(std::slice::from_ref(frame))?.swap_remove(0);
         let place = |i: usize| -> [f64; 2] {
             // R₂ (Roberts, 2018), as `Framing` places its rays.
@@ -186,40 +223,27 @@ impl Shown {
             [share(0.754_877_666_246_693, camera.resolution[0]), share(0.569_840_290_998_053_3, camera.resolution[1])]
         };
         // Pixel of an image of another size whose ray passes nearest.
-        let index = |[x, y]: [f64; 2], image: &PosedImage| {
-            let [column, row] = [(x, 0), (y, 1)].map(|(at, axis)| {
-                let [of, sides] = [camera.resolution, image.resolution].map(|sides| f64::from(sides[axis]));
-                ((at + pixel_offset) * sides / of - pixel_offset).round().clamp(0.0, sides - 1.0) as usize
-            });
-            row * image.resolution[0] as usize + column
+        let in_image = |[x, y]: &[f64; 2]| {
+            [(x, 0), (y, 1)].map(|(at, axis)| {
+                let [of, sides] = [camera.resolution, size].map(|sides| f64::from(sides[axis]));
+                ((at + pixel_offset) * sides / of - pixel_offset).round().clamp(0.0, sides - 1.0) as u32
+            })
         };
         let is_kept = |[x, y]: &[f64; 2]| mask.as_ref().is_none_or(|mask| mask.keeps(*x as u32, *y as u32));
         let points: Vec<[f64; 2]> = (0..PIXELS).map(place).filter(is_kept).collect();
-        let pixels = points.iter().map(|at| index(*at, &image)).collect();
+        let pixels: Vec<[u32; 2]> = points.iter().map(in_image).collect();
+        let image = PosedImage::sample(&frame.image, size, &pixels)?;
         let points = points.into_iter().map(|at| at.map(|at| at + pixel_offset)).collect();
-        Ok(Self { camera, image, points, pixels })
+        Ok(Self { camera, size, points, image })
     }
 
     /// Sizes of camera and image, if one is not the other resized: their ratios differ by more than rounding explains.
     fn shapes(&self) -> Option<[[u32; 2]; 2]> {
-        let sizes = [self.camera.resolution, self.image.resolution];
+        let sizes = [self.camera.resolution, self.size];
         let [[w, h], [image_w, image_h]] = sizes.map(|size| size.map(f64::from));
         let apart = (w * image_h / (h * image_w)).ln().abs();
         (apart > 1.0 / w.min(h).min(image_w).min(image_h) + 0.005).then_some(sizes)
     }
-}
-
-/// Width and height of an image, from its first bytes.
-fn size(path: &Path) -> Result<[u32; 2]> {
-    let cannot = |what: &'static str| Error::io(path, what);
-    let reader = ImageReader::open(path).map_err(cannot("cannot open"))?;
-    let reader = reader.with_guessed_format().map_err(cannot("cannot read"))?;
-    let wrong = |found: String| Error::malformed(path, "image", "a PNG or JPEG", found);
-    let (w, h) = reader.into_dimensions().map_err(|e| wrong(e.to_string()))?;
-    if f64::from(w) * f64::from(h) > MAX_PIXELS {
-        return Err(wrong(format!("{w} x {h} pixels")));
-    }
-    Ok([w, h])
 }
 
 /// What is rendered at the images' pixels, if other cameras took them.
@@ -241,8 +265,8 @@ fn render(
 
 /// PSNR of what was rendered, with both model and images over a background.
 fn psnr_over(shown: &[Shown], rendered: &[(DVec3, f64)], background: DVec3) -> f64 {
-    let truth: Vec<DVec3> =
-        shown.iter().flat_map(|shown| shown.pixels.iter().map(|&i| shown.image.over(i, background))).collect();
+    let pixels = |shown: &Shown| (0..shown.points.len()).map(|i| shown.image.pixels.over(i, background)).collect();
+    let truth: Vec<DVec3> = shown.iter().flat_map::<Vec<DVec3>, _>(pixels).collect();
     let found: Vec<DVec3> = rendered.iter().map(|(color, passed)| *color + *passed * background).collect();
     psnr(&found, &truth)
 }
@@ -263,6 +287,33 @@ impl ImageCheck {
     #[must_use]
     pub fn is_poor(&self) -> bool {
         self.psnr < self.fair()
+    }
+
+    /// White or black, if one shows the images fairly and clearly better than the other; and its PSNR and the other's.
+    #[must_use]
+    pub fn clear_background(&self) -> Option<(Vec3, [f64; 2])> {
+        let [white, black] = self.backgrounds;
+        let (color, psnr, other) = if white > black { (Vec3::ONE, white, black) } else { (Vec3::ZERO, black, white) };
+        (psnr >= FAIR && psnr - other >= CLEAR).then_some((color, [psnr, other]))
+    }
+
+    /// What was measured of splats, for users to compare with the PSNR of the training.
+    #[must_use]
+    pub fn note(&self) -> Option<String> {
+        (self.is_of_splats && self.images > 0).then(|| {
+            format!(
+                "the splats show the images beside the cameras with {}; less than in training hints at another size \
+                 (--resolution)",
+                self.measured()
+            )
+        })
+    }
+
+    /// What was measured, as JSON.
+    #[must_use]
+    pub fn report(&self) -> serde_json::Value {
+        let Self { images, pixels, psnr, .. } = self;
+        serde_json::json!({ "images": images, "pixels": pixels, "psnr": psnr.is_finite().then_some(psnr) })
     }
 
     /// Describes what was measured.

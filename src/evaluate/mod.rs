@@ -24,7 +24,7 @@ mod view;
 
 pub use clean_up::{CleanUp, SCALE, THRESHOLDS, clean_up};
 pub use depth_files::DepthFiles;
-pub use image_check::{ImageCheck, check_images, check_splat_images};
+pub use image_check::{ImageCheck, check_images, check_splat_images, memory_of_images};
 pub use interval::Interval;
 pub use judge::{Evaluation, Judged, Prepared, Remark};
 pub use measure::Reading;

@@ -84,6 +84,14 @@ impl Accumulation {
         let field = builder.finish(&FieldSource { source: source.into(), progress, ..FieldSource::default() });
         checks::field(&field, pooling, true, tell);
         let errors = ErrorBudget::of_field(&field);
-        Ok(Finished { field, errors, elapsed: start.elapsed(), sums_bytes, replanned: None, checkpoint: None })
+        Ok(Finished {
+            field,
+            errors,
+            elapsed: start.elapsed(),
+            sums_bytes,
+            images: None,
+            replanned: None,
+            checkpoint: None,
+        })
     }
 }

@@ -10,6 +10,7 @@
 //! Python rewrites them into arguments. The command line and Python are two faces of this module.
 
 mod accumulation;
+mod background;
 mod belongs;
 mod cameras;
 mod candidates;

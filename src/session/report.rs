@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use super::memory::peak;
 use crate::Result;
 use crate::estimate::{Checkpoint, ErrorBudget, Plan, facts};
+use crate::evaluate::ImageCheck;
 use crate::posterior::RayCoverage;
 use crate::uncertainty::UncertaintyField;
 
@@ -25,6 +26,8 @@ pub struct Finished {
     pub elapsed: Duration,
     /// Largest size of the sums, bytes.
     pub sums_bytes: usize,
+    /// How well the model shows the images beside the cameras, if there are any.
+    pub images: Option<ImageCheck>,
     /// The plan of a run that started again, because the rays took more or less memory than planned.
     pub replanned: Option<Plan>,
     pub(super) checkpoint: Option<(Checkpoint, Option<u16>)>,
@@ -57,6 +60,7 @@ impl Finished {
         value["peak_bytes"] = json!(peak());
         value["posterior_bytes"] = json!(self.sums_bytes);
         value["errors"] = json!(self.errors);
+        value["images"] = json!(self.images.as_ref().map(ImageCheck::report));
         value
     }
 }

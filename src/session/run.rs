@@ -5,14 +5,17 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use derive_setters::Setters;
+use glam::Vec3;
 
-use super::{Choices, Finished, Purpose, TrainingPixels, checks, world};
-use crate::dataset::{Views, read_masks};
+use super::{Choices, Finished, Purpose, TrainingPixels, background, checks, world};
+use crate::dataset::{Frame, Views, memory_of_masks, read_masks};
 use crate::estimate::{
     Audit, Checkpoint, ErrorBudget, Estimation, Goal, GridSettings, Outcome, RayError, RaySettings, Run, StepCheck,
     Subject,
 };
-use crate::evaluate::{Compared, Remark, TrainingImages, check_images, check_splat_images};
+use crate::evaluate::{
+    Compared, ImageCheck, Remark, TrainingImages, check_images, check_splat_images, memory_of_images,
+};
 use crate::geometry::{Camera, Domain, Mask, kept_pixels};
 use crate::monitor::Monitor;
 use crate::posterior::Scale;
@@ -43,6 +46,11 @@ pub struct Session {
     domain: Option<Domain>,
     /// Which rays are drawn, and how they are differentiated.
     rays: RaySettings,
+    /// What lay behind the scene in training, if the user names it. For splats a file beside them may state it, or
+    /// images may fit white or black better; else it is the background of `rays`.
+    background: Option<Vec3>,
+    /// The file of the model, beside which others may lie.
+    model_file: Option<PathBuf>,
     /// The grid on which information is summed. `choices` decide on its scale, level, covariance and sums.
     grid: GridSettings,
     /// What was chosen, and what the field is for.
@@ -78,6 +86,7 @@ pub struct Prepared<'a> {
     pub(super) start: Instant,
     step: Option<StepCheck>,
     audit: Option<Audit>,
+    images: Option<ImageCheck>,
 }
 
 impl Session {
@@ -95,6 +104,8 @@ impl Session {
             checksum: None,
             domain: None,
             rays: RaySettings::default(),
+            background: None,
+            model_file: None,
             grid: GridSettings::default(),
             choices: Choices::default(),
             goal: Goal::default(),
@@ -136,6 +147,7 @@ impl Session {
             checks::near(splats, &self.cameras, tell);
         }
         checks::masks(&self.views, &self.masks, tell)?;
+        let (rays, images) = self.settled(model, monitor, tell)?;
         let domain = self.domain.map_or_else(|| self.covered(model, monitor, tell), Ok)?;
         let noise = match model {
             Subject::Volume(field) => field.training_noise(),
@@ -148,7 +160,7 @@ impl Session {
         if matches!(grid.scale, Scale::Data(_)) {
             checks::pixels(&self.views, pixels, tell);
         }
-        let run = self.estimation(model, domain, grid)?.monitor(monitor).prepare()?;
+        let run = self.estimation(model, domain, rays, grid)?.picture(self.picture()?).monitor(monitor).prepare()?;
         let sight = run.sight()?;
         // Camera files have one kind of coordinates for these models. If rays meet matter, but outside the domain, they
         // are right.
@@ -165,7 +177,7 @@ impl Session {
         let warnings = [run.check_positions()?.warning(), step.as_ref().and_then(StepCheck::warning)];
         warnings.into_iter().flatten().for_each(|text| tell(Remark::Warning(text)));
         let audit = self.audit.then(|| run.audit()).transpose()?;
-        let prepared = Prepared { session: self, model, monitor, run, grid, start, step, audit };
+        let mut prepared = Prepared { session: self, model, monitor, run, grid, start, step, audit, images };
         prepared.check_images(sight.causes().is_none(), tell)?;
         Ok(prepared)
     }
@@ -176,6 +188,68 @@ impl Session {
             Subject::Volume(_) => Ok(None),
             Subject::Splats(splats) => world::other_frame(splats, &self.views),
         }
+    }
+
+    /// The settings of rays with the background that is used; and the comparison of splats with their images in front
+    /// of it, if that decided.
+    fn settled(
+        &self,
+        model: Subject,
+        monitor: &dyn Monitor,
+        tell: &mut dyn FnMut(Remark),
+    ) -> Result<(RaySettings, Option<ImageCheck>)> {
+        let rays = self.rays.background(self.background.unwrap_or(self.rays.background));
+        let Subject::Splats(splats) = model else { return Ok((rays, None)) };
+        let name = |color: Vec3| if color == Vec3::ONE { "white" } else { "black" };
+        let files = [self.model_file.as_deref(), Some(self.views.path.as_path())];
+        if let Some((path, own)) = background::stated(&files.into_iter().flatten().collect::<Vec<_>>()) {
+            let (path, own_name) = (path.display(), name(own));
+            match self.background {
+                None => tell(Remark::Note(format!("{path}: {own_name} lay behind the splats (--background)"))),
+                Some(chosen) if chosen != own => tell(Remark::Warning(format!(
+                    "{path}: {own_name} lay behind the splats in training, but not by --background"
+                ))),
+                Some(_) => {}
+            }
+            return Ok((rays.background(self.background.unwrap_or(own)), None));
+        }
+        if self.background.is_some() {
+            return Ok((rays, None));
+        }
+        let renderer = SplatRenderer::new(splats, rays.background);
+        SplatRenderer::check_cameras(&self.cameras)?;
+        let offset = rays.offset_for_splats();
+        let found = check_splat_images(&renderer, self.frames_with_images(), offset, None, monitor)?;
+        if let Some((best, [psnr, other])) = found.as_ref().and_then(ImageCheck::clear_background) {
+            tell(Remark::Note(format!(
+                "{} lay behind the splats by the images beside the cameras: {psnr:.1} dB, {other:.1} dB otherwise \
+                 (--background)",
+                name(best)
+            )));
+            return Ok((rays.background(best), found.filter(|_| best == rays.background)));
+        }
+        tell(Remark::Note(format!(
+            "it is not known what lay behind the splats in training: {} is assumed; the original code has black \
+             unless `white_background` is set (--background)",
+            name(rays.background)
+        )));
+        Ok((rays, found))
+    }
+
+    /// The frames whose images are compared with the model before the run.
+    fn frames_with_images(&self) -> &[Frame] {
+        self.images.as_ref().map_or(&*self.views.frames, TrainingImages::frames)
+    }
+
+    /// Bytes that decoding the largest picture takes: a mask, or an image that is compared.
+    fn picture(&self) -> Result<u64> {
+        let masks = memory_of_masks(&self.views.frames);
+        if let Some(budget) = self.grid.memory.filter(|&budget| masks > budget) {
+            let expected =
+                format!("at least {} MB, to decode the largest mask, or smaller masks", masks / 1_000_000 + 1);
+            return Err(Error::setting("memory budget", expected, format!("{} MB", budget / 1_000_000)));
+        }
+        Ok(masks.max(memory_of_images(self.frames_with_images())))
     }
 
     /// The space that the field covers if nobody says another.
@@ -200,7 +274,13 @@ impl Session {
         Ok(domain)
     }
 
-    fn estimation<'a>(&'a self, model: Subject<'a>, domain: Domain, grid: GridSettings) -> Result<Estimation<'a>> {
+    fn estimation<'a>(
+        &'a self,
+        model: Subject<'a>,
+        domain: Domain,
+        rays: RaySettings,
+        grid: GridSettings,
+    ) -> Result<Estimation<'a>> {
         if let Some(path) = &self.dump {
             self.writer.replace(Some(SamplesWriter::create(path)?));
         }
@@ -208,13 +288,8 @@ impl Session {
             Subject::Volume(field) => Estimation::new(field, &self.cameras),
             Subject::Splats(splats) => Estimation::of_splats(splats, &self.cameras),
         };
-        let estimation = estimation
-            .masks(&self.masks)
-            .domain(domain)
-            .rays(self.rays)
-            .grid(grid)
-            .goal(self.goal)
-            .source(&*self.source);
+        let estimation =
+            estimation.masks(&self.masks).domain(domain).rays(rays).grid(grid).goal(self.goal).source(&*self.source);
         let estimation = self.checksum.into_iter().fold(estimation, Estimation::model);
         let estimation = self.checkpoint.iter().cloned().fold(estimation, Estimation::checkpoint);
         Ok(match &self.dump {
@@ -239,13 +314,14 @@ impl Session {
 impl Prepared<'_> {
     /// Compares the model with the images beside the cameras. Refuses cameras whose images it does not show at all,
     /// unless forced. Warns if it shows them poorly, and of splats that may lie in another frame, unless images speak
-    /// against that or it was said already.
-    fn check_images(&self, is_frame_open: bool, tell: &mut dyn FnMut(Remark)) -> Result<()> {
+    /// against that or it was said already. Notes how well splats show them.
+    fn check_images(&mut self, is_frame_open: bool, tell: &mut dyn FnMut(Remark)) -> Result<()> {
         let (session, stream) = (self.session, self.run.stream());
-        let frames = session.images.as_ref().map_or(&*session.views.frames, TrainingImages::frames);
+        let (frames, offset, room) = (session.frames_with_images(), stream.pixel_offset, self.run.room_for_pictures());
         let found = match &stream.source {
-            RaySource::Volume(volume) => check_images(&volume.tracer, frames, stream.pixel_offset, self.monitor)?,
-            RaySource::Splats(splats) => check_splat_images(splats, frames, stream.pixel_offset, self.monitor)?,
+            _ if self.images.is_some() => self.images.take(),
+            RaySource::Volume(volume) => check_images(&volume.tracer, frames, offset, room, self.monitor)?,
+            RaySource::Splats(splats) => check_splat_images(splats, frames, offset, room, self.monitor)?,
         };
         let are_shown = found.as_ref().is_some_and(|found| found.warnings().is_empty());
         if let Some(frame) =
@@ -257,7 +333,10 @@ impl Prepared<'_> {
         if !session.force {
             found.refuse()?;
         }
-        found.warnings().into_iter().for_each(|text| tell(Remark::Warning(text)));
+        let warnings = found.warnings();
+        found.note().filter(|_| warnings.is_empty()).into_iter().for_each(|text| tell(Remark::Note(text)));
+        warnings.into_iter().for_each(|text| tell(Remark::Warning(text)));
+        self.images = Some(found);
         Ok(())
     }
 
@@ -267,7 +346,8 @@ impl Prepared<'_> {
         let Subject::Volume(field) = self.model else {
             return Err(Error::setting("--images", "a volume, whose training images are compared with it", "splats"));
         };
-        let RaySettings { background, occupancy, march_step, pixel_offset, .. } = self.session.rays;
+        let RaySettings { occupancy, march_step, pixel_offset, .. } = self.session.rays;
+        let background = self.session.background.unwrap_or(self.session.rays.background);
         let settings = RaySettings { background, occupancy, march_step, pixel_offset, ..RaySettings::for_images() };
         let tracer = settings.tracer(field, 0.0, self.monitor)?;
         images.compare(&tracer, settings.offset_for(field), self.run.lattice(), self.monitor).map(Some)
@@ -296,7 +376,7 @@ impl Prepared<'_> {
     pub fn finish(self, tell: &mut dyn FnMut(Remark)) -> Result<Finished> {
         // Before the rays, so that a wrong image ends the work at once.
         let compared = self.compared()?;
-        let Self { session, model, monitor, run, start, step, audit, .. } = self;
+        let Self { session, model, monitor, run, start, step, audit, images, .. } = self;
         let (rays, grid) = (run.rays(), &session.grid);
         let could_pool = grid.memory.is_none()
             && grid.tile.is_none()
@@ -344,6 +424,7 @@ impl Prepared<'_> {
             errors,
             elapsed: start.elapsed(),
             sums_bytes,
+            images,
             replanned: plan.filter(|_| is_replanned),
             checkpoint: session.checkpoint.clone().map(|checkpoint| (checkpoint, session.goal.groups())),
         })

@@ -144,7 +144,7 @@ fn tracer(scene: &ClosedForm) -> Tracer<'_> {
 }
 
 fn found(scene: &ClosedForm, frames: &[Frame]) -> ImageCheck {
-    check_images(&tracer(scene), frames, 0.5, &Silent).unwrap().unwrap()
+    check_images(&tracer(scene), frames, 0.5, None, &Silent).unwrap().unwrap()
 }
 
 #[test]
@@ -226,5 +226,33 @@ fn masked_pixels_and_other_shapes() {
     assert!(check.shapes == Some([[32, 16], [32, 32]]) && check.causes().contains("32 x 32 pixels"), "{check:?}");
     // Without images there is nothing to say.
     frames.iter_mut().for_each(|frame| frame.image = "none.png".into());
-    assert_eq!(check_images(&tracer(&scene), &frames, 0.5, &Silent).unwrap(), None);
+    assert_eq!(check_images(&tracer(&scene), &frames, 0.5, None, &Silent).unwrap(), None);
+}
+
+#[test]
+fn images_that_a_budget_has_no_room_for_are_not_compared() {
+    let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
+    let frames = frames(folder.path(), &scene, &ClosedForm::half_circle(3, [32; 2]));
+    let check = |room| check_images(&tracer(&scene), &frames, 0.5, Some(room), &Silent).unwrap().unwrap();
+    assert_eq!(check(3 * 32 * 32).images, 3);
+    let check = check(3 * 32 * 32 - 1);
+    assert!(check.images == 0 && check.refuse().is_ok(), "{check:?}");
+    let warning = &check.warnings()[0];
+    assert!(warning.starts_with("the model is not compared with 3 images beside the cameras: "), "{warning}");
+    assert!(warning.ends_with("what the memory budget leaves, found 1 MB"), "{warning}");
+}
+
+#[test]
+fn masks_beside_the_images_are_applied_with_a_note() {
+    let desk = desk(&ClosedForm::courtyard(), SIDE, over(1.0));
+    std::fs::create_dir(desk.path().join("masks")).unwrap();
+    image::GrayImage::new(SIDE / 2, SIDE / 2).save(desk.path().join("masks/r_0.png.png")).unwrap();
+    let said =
+        || outcome(desk.path(), &format!("uncertainty scene:courtyard --cameras cameras.json {RUN} --views all")).2;
+    let notes = said();
+    assert!(notes.contains("masks of 1 of 6 frames lie beside the pictures"), "{notes}");
+    assert!(notes.contains("masks of 1 of 6 frames leave out 16.7 % of the pixels"), "{notes}");
+    std::fs::rename(desk.path().join("masks/r_0.png.png"), desk.path().join("masks/0.png")).unwrap();
+    let notes = said();
+    assert!(notes.contains("masks looks like masks and is not used") && !notes.contains("leave out"), "{notes}");
 }

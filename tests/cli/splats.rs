@@ -395,3 +395,56 @@ fn images_beside_the_cameras_are_compared_with_the_splats() {
     assert!(output.status.success() && said.contains("20 dB would be fair"), "{said}");
     assert!(said.contains("another image size") || said.contains("background"), "{said}");
 }
+
+/// Saves what the cameras see of the ball in front of a grey of this shade.
+fn photograph(folder: &Path, shade: f32) {
+    let (ball, frames) =
+        (ball(|_| 0.0), octobayes::dataset::Views::read(&folder.join("transforms.json"), None).unwrap());
+    let renderer = SplatRenderer::new(&ball, Vec3::splat(shade));
+    for frame in frames.frames {
+        let view = renderer.image(&frame.camera, 0.5, &[], &[], &Silent).unwrap();
+        let color = |x: u32, y: u32| view.pixels[(48 * y + x) as usize].color.to_array();
+        let byte = |v: f64| (255.0 * v.clamp(0.0, 1.0)).round() as u8;
+        let image = image::RgbImage::from_fn(48, 40, |x, y| image::Rgb(color(x, y).map(byte)));
+        image.save(folder.join(format!("{}.png", frame.name))).unwrap();
+    }
+}
+
+#[test]
+fn what_lay_behind_splats_is_stated_or_shown_by_images_or_assumed_with_a_note() {
+    let folder = folder();
+    let folder = folder.path();
+    let said = |args: &str| {
+        let run_args = "uncertainty scene.ply --cameras transforms.json --views all --level 4 --rays 2000 -o x.oct";
+        let output = run(folder, &format!("{run_args} {args}"));
+        assert!(output.status.success(), "{output:?}");
+        let background = UncertaintyField::read(&folder.join("x.oct")).unwrap().record().background.unwrap();
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).to_string();
+        (background, text(&output.stderr), text(&output.stdout))
+    };
+    let (background, notes, report) = said("--json");
+    assert!(background == [1.0; 3] && notes.contains("white is assumed"), "{notes}");
+    assert!(report.contains("\"images\":null"), "{report}");
+    for (shade, name) in [(0.0, "black"), (1.0, "white")] {
+        photograph(folder, shade);
+        let (background, notes, report) = said("--json");
+        assert_eq!(background, [shade; 3], "{notes}");
+        assert!(notes.contains(&format!("{name} lay behind the splats by the images")), "{notes}");
+        assert!(notes.contains("note: the splats show the images beside the cameras with"), "{notes}");
+        let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+        assert!(report["images"]["psnr"].as_f64().unwrap() > 30.0, "{report}");
+    }
+    // Who states a background is believed, and so is the file of the original code; both together are warned of.
+    let (background, notes, _) = said("--background 0.5,0.5,0.5 --force");
+    assert!(background == [0.5; 3] && !notes.contains("lay behind"), "{notes}");
+    photograph(folder, 0.0);
+    std::fs::write(folder.join("cfg_args"), "Namespace(sh_degree=3, white_background=False, eval=True)").unwrap();
+    let (background, notes, _) = said("");
+    assert!(
+        background == [0.0; 3] && notes.contains("cfg_args: black lay behind the splats (--background)"),
+        "{notes}"
+    );
+    let (background, notes, _) = said("--background white --force");
+    assert!(background == [1.0; 3] && notes.contains("warning: "), "{notes}");
+    assert!(notes.contains("cfg_args: black lay behind the splats in training, but not by --background"), "{notes}");
+}

@@ -395,6 +395,12 @@ impl Desk {
         self.write("clear.json", masked.replace("\"file_path\"", "\"mask_path\": \"r_0.png\", \"file_path\""));
         self.write("grey.json", masked.replace("\"file_path\"", "\"mask_path\": \"grey.png\", \"file_path\""));
         image::GrayImage::from_fn(16, 16, |x, _| image::Luma([1 + x as u8])).save(self.path("grey.png")).unwrap();
+        self.write("cut.json", masked.replace("\"file_path\"", "\"mask_path\": \"cut.jpg\", \"file_path\""));
+        image::GrayImage::new(16, 16).save(self.path("cut.jpg")).unwrap();
+        let whole = std::fs::read(self.path("cut.jpg")).unwrap();
+        std::fs::write(self.path("cut.jpg"), &whole[..whole.len() - 2]).unwrap();
+        self.write("large.json", masked.replace("\"file_path\"", "\"mask_path\": \"large.png\", \"file_path\""));
+        image::GrayImage::from_pixel(1024, 1024, image::Luma([255])).save(self.path("large.png")).unwrap();
         let false_colours = image::RgbImage::from_pixel(16, 16, image::Rgb([51, 204, 102]));
         false_colours.save(self.path("r_0_false.png")).unwrap();
         for name in ["o_0", "o_1"] {

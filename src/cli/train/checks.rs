@@ -13,6 +13,8 @@ use crate::{Error, Result};
 /// A model has learnt nothing if it is less than this many dB better than one colour for all images. At 1 dB a
 /// fifth of the squared error is gone.
 const ONE_COLOR_MARGIN: f64 = 1.0;
+/// The same for images of one colour: less is wrong by more than a tenth of the range of colours, dB.
+const OF_ONE_COLOR: f64 = 20.0;
 
 /// Refuses cameras whose rays all miss the space to be trained. Warns if few meet it.
 pub(super) fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
@@ -67,11 +69,16 @@ pub(super) fn warn_of_one_color(images: [(&str, &[Shot], Option<Quality>); 2], b
     for (what, shots, shown) in images {
         let Some(shown) = shown else { continue };
         let Some(constant) = one_color(shots, background, LOOK_PIXELS) else { continue };
-        // A single colour shows images of one colour exactly.
-        if constant.psnr.is_finite() && shown.psnr < constant.psnr + ONE_COLOR_MARGIN {
-            let (shown, constant) = (shown.psnr, constant.psnr);
+        let (shown, constant) = (shown.psnr, constant.psnr);
+        // A single colour shows images of one colour exactly, which no model does.
+        let (least, gives) = if constant.is_finite() {
+            (constant + ONE_COLOR_MARGIN, format!("gives {constant:.1} dB"))
+        } else {
+            (OF_ONE_COLOR, "shows them exactly".into())
+        };
+        if shown < least {
             announce!(
-                "warning: {what} images are shown with {shown:.1} dB, one colour for all gives {constant:.1} dB; \
+                "warning: {what} images are shown with {shown:.1} dB, one colour for all {gives}; \
                  likely causes: camera axes, units or --box, or too few steps or views"
             );
             return;

@@ -296,7 +296,8 @@ impl Args {
         let field = trainer.field(json!(null));
         let measure = |field: &HashGrid, shots, pixels| match run.budget {
             Budget::Time(time) => quality_within(field, shots, background, pixels, measuring(time)),
-            _ => quality(field, shots, background, pixels),
+            // In the fog of the first steps, a ray takes a hundred times as long.
+            _ => quality(field, shots, background, pixels.min(100 * trainer.steps().clamp(10, 1000) as usize)),
         };
         self.announce(finished.elapsed, bars);
         // What the images leave open of the model's colours, by which `uncertainty --scale data` weighs them.

@@ -53,17 +53,12 @@ pub struct Args {
     #[command(flatten)]
     frames: FrameOptions,
 
-    /// Background colour of the training: white, black or r,g,b in [0, 1]
+    /// Background colour of the training: white, black or r,g,b in [0, 1] [default: white, or what lies beside splats]
     ///
-    /// It enters the derivatives wherever a ray passes the scene without becoming opaque.
-    #[arg(
-        long,
-        value_name = "COLOR",
-        default_value = "white",
-        value_parser = parse_background,
-        help_heading = heading::INPUT,
-    )]
-    background: Vec3,
+    /// It enters the derivatives wherever a ray passes the scene without becoming opaque. For splats the `cfg_args` of
+    /// the original code decides, or else white or black, if the images beside the cameras clearly fit one better.
+    #[arg(long, value_name = "COLOR", value_parser = parse_background, help_heading = heading::INPUT)]
+    background: Option<Vec3>,
 
     /// Use the cameras even if the model does not show the images that lie beside them
     ///
@@ -291,6 +286,8 @@ impl Args {
             .checksum(Some(model.checksum))
             .domain(self.domain.chosen()?)
             .rays(self.ray_settings())
+            .background(self.background)
+            .model_file(Some(PathBuf::from(&model.name)))
             .grid(self.grid_settings())
             .choices(self.grid.choices())
             .goal(Goal::of(self.target_error, self.shard, self.error_bars))
@@ -345,7 +342,6 @@ impl Args {
             seed: self.seed,
             gradient: self.gradient,
             cutoff: self.cutoff,
-            background: self.background,
             occupancy: usize::from(self.occupancy),
             ..RaySettings::default()
         }
