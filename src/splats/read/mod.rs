@@ -9,7 +9,7 @@ mod spz;
 
 use std::path::Path;
 
-pub(super) use self::ply::{MODE, place_of_rest};
+pub(super) use self::ply::{DILATION, MODE, place_of_rest};
 use super::Splats;
 use crate::{Error, Result};
 

@@ -246,7 +246,7 @@ fn splats(path: &Path, header: &Header, body: &[u8], stored: u32) -> Result<Spla
         degree: header.degree,
         mode: if header.flags & ANTIALIASED == 0 { RenderMode::Classic } else { RenderMode::Mip },
     };
-    raw.finish(path, None)
+    raw.finish(path, None, Vec::new())
 }
 
 #[cfg(test)]
