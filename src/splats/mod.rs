@@ -33,6 +33,8 @@ pub use render::{Hit, Hits, NEAR, SplatView, Use, share_too_near};
 use self::columns::Layout;
 pub use self::mode::RenderMode;
 #[cfg(feature = "files")]
+pub(crate) use self::read::refuse_checkpoint;
+#[cfg(feature = "files")]
 #[doc(hidden)]
 pub use self::summary::{QUANTILES, Summary};
 use crate::geometry::Aabb;
