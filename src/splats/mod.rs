@@ -22,7 +22,7 @@ use glam::{Quat, Vec3};
 pub(crate) use render::FAINTEST;
 #[cfg(all(test, any(feature = "evaluate", feature = "train")))]
 pub(crate) use render::reference;
-pub use render::{SplatRenderer, seen_domain, tile_of};
+pub use render::{SeenSpace, SplatRenderer, seen_domain, tile_of};
 #[cfg(feature = "train")]
 pub(crate) use render::{boxed, middle};
 // What only the program, Python and the experiments name.

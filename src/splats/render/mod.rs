@@ -23,7 +23,7 @@ mod tiles;
 pub use composite::{Hit, Hits};
 #[cfg(feature = "train")]
 pub use extent::{boxed, middle};
-pub use extent::{seen_domain, share_too_near};
+pub use extent::{SeenSpace, seen_domain, share_too_near};
 pub(super) use harmonics::color;
 #[cfg(feature = "cli")]
 pub use project::FAINTEST;
