@@ -36,8 +36,8 @@ fn pickle(path: &Path) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// The texts of a pickle: opcode `X`, a length of four bytes, UTF-8; or 0x8c and a length of one byte. Other places that
-/// look like these are harmless.
+/// The texts of a pickle: opcode `X`, a length of four bytes, UTF-8; or 0x8c and a length of one byte. Other places
+/// that look like these are harmless.
 fn texts(pickle: &[u8]) -> Vec<&str> {
     let text = |at: usize| {
         let rest = &pickle[at + 1..];

@@ -37,8 +37,8 @@ const EXTENSIONS: u8 = 2;
 
 /// Unpacked content that is read whatever the size of the file, bytes.
 const ALWAYS: u64 = 4 << 20;
-/// Beyond that, unpacked bytes per byte of the file. Trained scenes have 1 to 4. In memory splats take up to eight times
-/// as much as unpacked.
+/// Beyond that, unpacked bytes per byte of the file. Trained scenes have 1 to 4. In memory splats take up to eight
+/// times as much as unpacked.
 const LARGEST_RATIO: u64 = 32;
 /// Smallest limit of a zstd window (RFC 8878 asks decoders for 8 MB).
 const WINDOW: u64 = 8 << 20;

@@ -2,9 +2,9 @@
 //!
 //! Letters: `t` centre in camera axes (x right, y down, z forward), m = (fx x/z + cx, fy y/z + cy) its image in pixels;
 //! W covariance in camera axes; J Jacobian of m by t, with x/z and y/z limited to 1.3 half angles, so that splats
-//! beside the image do not fill it; Σ₂ = J W Jᵀ + δ I with the mode's dilation δ; A = Σ₂⁻¹ the conic (Zwicker et al. 2001, "EWA Volume
-//! Splatting"; Kerbl et al. 2023). Everything is f64: an image of a million splats still takes less time to project
-//! than to composite.
+//! beside the image do not fill it; Σ₂ = J W Jᵀ + δ I with the mode's dilation δ; A = Σ₂⁻¹ the conic (Zwicker et al.
+//! 2001, "EWA Volume Splatting"; Kerbl et al. 2023). Everything is f64: an image of a million splats still takes less
+//! time to project than to composite.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
