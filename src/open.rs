@@ -8,7 +8,7 @@ use crate::estimate::Subject;
 #[cfg(feature = "train")]
 use crate::field::HashGrid;
 use crate::field::{ClosedForm, Coordinates, NerfMlp, Ppng, RadianceField, VoxelGrid, is_checkpoint};
-use crate::splats::{RenderMode, Splats};
+use crate::splats::{RenderMode, Splats, refuse_checkpoint};
 use crate::{Error, Result};
 
 /// A model: a volume, whose rays are marched, or splats, which are projected.
@@ -130,6 +130,9 @@ fn open_volume(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
     }
     if let Some(scene) = model.strip_prefix("scene:") {
         return Ok(Box::new(ClosedForm::named(scene)?));
+    }
+    if extension != Some("npz") {
+        refuse_checkpoint(path)?;
     }
     match extension {
         #[cfg(feature = "train")]

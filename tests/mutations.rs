@@ -40,7 +40,7 @@ fn allowance(kind: Kind, length: usize) -> usize {
         Kind::Field | Kind::Checkpoint => (2_000_000, 2000),
         Kind::Samples | Kind::Voxels => (2_000_000, 1100),
         // The window of a zstd stream (8 MB), and 4 MB of splats, which a tiny stream may unpack to.
-        Kind::Splats => (60_000_000, 1100),
+        Kind::Splats => (60_000_000, 400),
         _ => (2_000_000, 300),
     };
     fixed + factor * length

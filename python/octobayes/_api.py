@@ -42,8 +42,8 @@ def open_model(
     name: a ``.safetensors`` hash grid (of ``octobayes train``) or MLP NeRF, a ``.ppng`` Plenoptic PNG, an ``.npz``
     voxel grid, or ``scene:NAME``: a callable ``(x[N, 3], d[N, 3]) -> (density[N], color[N, 3])``. Or a ``.ply``,
     ``.compressed.ply``, ``.spz`` or ``.splat`` of Gaussian splats: :class:`Splats`. coordinates: 'ngp' or 'blender',
-    scene units and axes of a ``.ppng``. splat_mode: 'classic' or 'mip', how splats smaller than a pixel were drawn in
-    training; by default as their file says.
+    scene units and axes of a ``.ppng``. splat_mode: 'classic', 'mip' or 'mip-splatting', how splats smaller than
+    a pixel were drawn in training; by default as their file says.
     Raises OSError or ValueError if it cannot be read.
     """
     name = as_path("name", name)

@@ -82,6 +82,9 @@ def test_arrays_are_the_files(splats, path):
     assert np.allclose(splats.box, [rows[:, :3].min(0), rows[:, :3].max(0)])
     assert splats.mode == "classic" and ob.open_model(path, splat_mode="mip").mode == "mip"
     assert (copy.copy(splats).means == splats.means).all()
+    for array in [splats.means, splats.scales, splats.rotations, splats.opacities, splats.sh]:
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 0
 
 
 @pytest.mark.skipif("OCTOBAYES" not in os.environ, reason="OCTOBAYES does not name the program")
@@ -213,7 +216,7 @@ def test_what_splats_do_not_have_is_refused(splats, field, path, held_out, court
         ob.open_model("scene:ball", splat_mode="mip")
     with pytest.raises(ValueError, match="splats"):
         ob.splat_columns(courtyard, field)
-    with pytest.raises(ValueError, match="splat_mode: expected 'classic' or 'mip'"):
+    with pytest.raises(ValueError, match="splat_mode: expected 'classic', 'mip', 'mip-splatting', found 'fast'"):
         ob.open_model(path, splat_mode="fast")
 
 

@@ -89,3 +89,27 @@ impl PositionCheck {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::geometry::Domain;
+
+    /// A box of edge 1.6 around x, and what a floater at 9000 units does to the box of all splats.
+    #[test]
+    fn only_positions_within_the_domain_count() {
+        let around = |x: f64| Aabb::new(DVec3::new(x - 0.8, -0.8, -0.8), DVec3::new(x + 0.8, 0.8, 0.8)).unwrap();
+        let check = |domain: Aabb, splats: Aabb| {
+            PositionCheck::of_box(&Lattice::from_domain(Domain::Box(domain), 7).unwrap(), &splats)
+        };
+        let with_floater = Aabb::new(DVec3::splat(-0.8), DVec3::new(9000.0, 0.8, 0.8)).unwrap();
+        assert_eq!(check(around(0.0), with_floater), check(around(0.0), around(0.0)));
+        assert!(check(around(0.0), with_floater).warning().is_none());
+        // Numbers at 9000 are 2⁻¹⁰ apart, a thirteenth of an edge.
+        let far = check(around(9000.0), around(9000.0));
+        assert!((far.edges - 128.0 / 1.6 / 1024.0).abs() < 1e-9 && far.warning().is_some(), "{far:?}");
+        assert!(check(around(9000.0), with_floater).warning().is_some());
+    }
+}

@@ -267,16 +267,16 @@ pub(super) fn shortest_step(lattice: &Lattice, bounds: &Aabb) -> f64 {
     edges.fold(0.0, f64::max)
 }
 
-/// The coordinate of a box that is farthest from the origin, and the spacing of f32 numbers there.
+/// The coordinate of a box that is farthest from the origin, of those that a domain holds finely, and the spacing of
+/// f32 numbers there.
 pub(super) fn resolution(domain: &Domain, bounds: &Aabb, axis: usize) -> (f32, f64) {
     // Outside a contraction's ball h grows faster than the spacing of positions, so the worst place is in the ball.
+    // What lies outside a box adds nothing to its field.
     let (low, high) = match domain {
-        Domain::Box(_) => (bounds.min()[axis], bounds.max()[axis]),
-        Domain::Contracted { center, radius, .. } => {
-            let within = |x: f64| x.clamp(bounds.min()[axis], bounds.max()[axis]);
-            (within(center[axis] - radius), within(center[axis] + radius))
-        }
+        Domain::Box(inner) => (inner.min()[axis], inner.max()[axis]),
+        Domain::Contracted { center, radius, .. } => (center[axis] - radius, center[axis] + radius),
     };
+    let [low, high] = [low, high].map(|x| x.clamp(bounds.min()[axis], bounds.max()[axis]));
     let farthest = low.abs().max(high.abs()) as f32;
     (farthest, f64::from(farthest.next_up()) - f64::from(farthest))
 }

@@ -25,6 +25,9 @@ impl NpzReader {
         let file = super::open(path)?;
         let archive = ZipArchive::new(BufReader::new(file))
             .map_err(|e| Error::malformed(path, "archive", "an `.npz` (zip) file", e.to_string()))?;
+        if archive.has_duplicate_names() {
+            return Err(Error::malformed(path, "archive", "names once each", "an array twice"));
+        }
         Ok(Self { archive, path: path.to_path_buf() })
     }
 

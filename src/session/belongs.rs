@@ -1,5 +1,6 @@
 //! Checks that a field belongs to the model at hand, or to another field.
 
+use std::iter;
 use std::path::Path;
 
 use glam::Vec3;
@@ -106,7 +107,7 @@ fn mode_of(name: &str, checksum: Option<u32>) -> Result<Option<RenderMode>> {
     if !open::is_of_splats(name) {
         return Ok(None);
     }
-    for mode in [None, Some(RenderMode::Classic), Some(RenderMode::Mip)] {
+    for mode in iter::once(None).chain(RenderMode::ALL.map(Some)) {
         if checksum == Some(open::checksum_in(name, None, mode)?) {
             return Ok(mode);
         }

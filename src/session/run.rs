@@ -257,7 +257,15 @@ impl Session {
         let domain = match model {
             Subject::Volume(field) => field.natural_domain(),
             Subject::Splats(splats) => {
-                seen_domain(&SplatRenderer::new(splats, self.rays.background), &self.cameras, monitor)?
+                let seen = seen_domain(&SplatRenderer::new(splats, self.rays.background), &self.cameras, monitor)?;
+                if seen.behind > 0.0 {
+                    tell(Remark::Note(format!(
+                        "{:.0} % of what the cameras see lies far behind what they stand around, as a sky does; the \
+                         field leaves that out (--box or --contract covers it)",
+                        100.0 * seen.behind
+                    )));
+                }
+                seen.domain
             }
         };
         match (model, domain) {

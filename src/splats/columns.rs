@@ -76,6 +76,81 @@ fn word(bytes: &[u8]) -> [u8; 4] {
     [bytes[0], bytes[1], bytes[2], bytes[3]]
 }
 
+/// What a property beside the parameters does to the pictures of a program that writes it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Effect {
+    /// Nothing.
+    None,
+    /// It is the radius of Mip-Splatting's filter, which belongs to scales and opacities.
+    Filter,
+    /// It changes them in a way that is not drawn here; the text names it.
+    Changes(&'static str),
+}
+
+const MOVING: &str = "splats that move in time";
+const ANCHORS: &str = "anchors of Scaffold-GS, of which a network makes the splats of each view";
+const SHADED: &str = "splats whose colours come from materials and light";
+const OTHER_COLORS: &str = "colours that are no spherical harmonics";
+const OTHER_SHAPES: &str = "splats of another shape than a Gaussian's";
+
+/// Properties that known programs write. `*` stands for the rest of a name.
+const KNOWN: [(Effect, &[&str]); 8] = [
+    (Effect::Filter, &["filter_3D", "filter_3d"]),
+    (Effect::Changes(ANCHORS), &["f_offset*", "f_anchor*"]),
+    (Effect::Changes(MOVING), &["trbf_*", "motion_*", "omega_*", "f_t_*", "t", "scale_t", "scaling_t", "rot_r_*"]),
+    (
+        Effect::Changes(SHADED),
+        &[
+            "base_color*",
+            "albedo*",
+            "roughness*",
+            "metallic*",
+            "specular*",
+            "diffuse*",
+            "fresnel*",
+            "refl*",
+            "incidents_*",
+        ],
+    ),
+    (Effect::Changes(OTHER_COLORS), &["sg_*", "rgb_base_*", "sb_*", "asg_*", "f_dc_*"]),
+    (Effect::Changes(OTHER_SHAPES), &["beta", "shape", "nu_degree", "scale_*", "rot_*"]),
+    // Normals, colours beside the harmonics, labels, and columns of this crate and of editors.
+    (Effect::None, &["n?", "red", "green", "blue", "alpha", "uncertainty", "log10_uncertainty", "weight", "views"]),
+    (
+        Effect::None,
+        &["*label*", "*semantic*", "*feature*", "ins_feat*", "sem_*", "obj_dc_*", "*id", "*index", "segment*", "state"],
+    ),
+];
+
+impl Effect {
+    /// What a property does, if a known program writes it.
+    pub fn of(name: &str) -> Option<Self> {
+        KNOWN.iter().find(|(_, names)| names.iter().any(|pattern| fits(pattern, name))).map(|(effect, _)| *effect)
+    }
+
+    /// The first property of these that changes pictures in a way that is not drawn here, in the order of the table,
+    /// and what it changes.
+    pub fn first_change<'a>(names: &[&'a str]) -> Option<(&'a str, &'static str)> {
+        KNOWN.iter().find_map(|(effect, patterns)| {
+            let Self::Changes(what) = effect else { return None };
+            let name = names.iter().find(|name| patterns.iter().any(|pattern| fits(pattern, name)))?;
+            Some((*name, *what))
+        })
+    }
+}
+
+/// Whether a name is of a pattern, in which `*` is any text and `?` any letter.
+fn fits(pattern: &str, name: &str) -> bool {
+    match (pattern.split_at_checked(1), name.chars().next()) {
+        (None, first) => first.is_none(),
+        (Some(("*", rest)), _) => name.char_indices().any(|(i, _)| fits(rest, &name[i..])) || fits(rest, ""),
+        (Some((one, rest)), Some(first)) if one == "?" || one.starts_with(first) => {
+            fits(rest, &name[first.len_utf8()..])
+        }
+        _ => false,
+    }
+}
+
 /// A property that this crate gives no meaning to. It is written back as it was read.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Extra {
@@ -90,6 +165,11 @@ impl Extra {
     pub fn floats(name: &str, values: &[f32]) -> Self {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         Self { name: name.to_string(), kind: Scalar::F32, bytes }
+    }
+
+    /// The number of splat `i`.
+    pub fn number(&self, i: usize) -> f64 {
+        self.kind.decode(self.of(i))
     }
 
     /// The bytes of splat `i`.
@@ -190,6 +270,18 @@ impl Layout {
         Self { order, extras, comments: Vec::new() }
     }
 
+    /// Takes out a property with this effect.
+    pub fn take(&mut self, effect: Effect) -> Option<Extra> {
+        let index = self.extras.iter().position(|extra| Effect::of(&extra.name) == Some(effect))?;
+        self.order.retain(|field| *field != Field::Extra(index));
+        for field in &mut self.order {
+            if let Field::Extra(later) = field {
+                *later -= usize::from(*later > index);
+            }
+        }
+        Some(self.extras.remove(index))
+    }
+
     /// Appends a property; one of the same name, which an earlier run left, goes.
     ///
     /// # Errors
@@ -237,6 +329,32 @@ mod tests {
         for name in ["rot_4", "scale_3", "f_dc_3", "nx", "f_rest_", "f_rest_01", "f_rest_+1", "rot_-0", "X", ""] {
             assert_eq!(Field::named(name), None, "{name}");
         }
+    }
+
+    #[test]
+    fn properties_of_other_programs_are_harmless_applied_or_refused() {
+        for (name, expected) in [
+            ("nx", Some(Effect::None)),
+            ("language_feature_12", Some(Effect::None)),
+            ("object_id", Some(Effect::None)),
+            ("filter_3D", Some(Effect::Filter)),
+            ("trbf_center", Some(Effect::Changes(MOVING))),
+            ("omega_3", Some(Effect::Changes(MOVING))),
+            ("f_offset_29", Some(Effect::Changes(ANCHORS))),
+            ("f_dc_3", Some(Effect::Changes(OTHER_COLORS))),
+            ("scale_5", Some(Effect::Changes(OTHER_SHAPES))),
+            ("roughness", Some(Effect::Changes(SHADED))),
+            ("time", None),
+            ("confidence", None),
+            ("", None),
+            ("nxy", None),
+            ("ü", None),
+        ] {
+            assert_eq!(Effect::of(name), expected, "{name}");
+        }
+        // Scaffold-GS has six scales as well, but its offsets are what it is known by.
+        assert_eq!(Effect::first_change(&["nx", "scale_3", "f_offset_0"]), Some(("f_offset_0", ANCHORS)));
+        assert_eq!(Effect::first_change(&["nx", "time"]), None);
     }
 
     #[test]

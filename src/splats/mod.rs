@@ -7,6 +7,7 @@
 
 #[cfg(feature = "files")]
 mod columns;
+mod mode;
 #[cfg(feature = "files")]
 mod read;
 mod render;
@@ -15,15 +16,13 @@ mod summary;
 #[cfg(feature = "files")]
 mod write;
 
-use std::fmt;
-
 use glam::{Quat, Vec3};
 
 #[cfg(feature = "cli")]
 pub(crate) use render::FAINTEST;
 #[cfg(all(test, any(feature = "evaluate", feature = "train")))]
 pub(crate) use render::reference;
-pub use render::{SplatRenderer, seen_domain, tile_of};
+pub use render::{SeenSpace, SplatRenderer, seen_domain, tile_of};
 #[cfg(feature = "train")]
 pub(crate) use render::{boxed, middle};
 // What only the program, Python and the experiments name.
@@ -32,6 +31,9 @@ pub use render::{Hit, Hits, NEAR, SplatView, Use, share_too_near};
 
 #[cfg(feature = "files")]
 use self::columns::Layout;
+pub use self::mode::RenderMode;
+#[cfg(feature = "files")]
+pub(crate) use self::read::refuse_checkpoint;
 #[cfg(feature = "files")]
 #[doc(hidden)]
 pub use self::summary::{QUANTILES, Summary};
@@ -43,27 +45,6 @@ pub const MAX_DEGREE: u8 = 3;
 
 /// Largest difference of a rotation's squared length from 1 that [`Splats::new`] accepts.
 const UNIT: f32 = 1e-4;
-
-/// How splats that are smaller than a pixel are drawn. It is part of the model: splats look right only as they were
-/// trained.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum RenderMode {
-    /// As in the original code: every splat grows by 0.3 px², and keeps its opacity.
-    #[default]
-    Classic,
-    /// With the compensation of Mip-Splatting (Yu et al., 2024, §4.2): what a splat gains in area it loses in opacity.
-    Mip,
-}
-
-impl fmt::Display for RenderMode {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.write_str(match self {
-            Self::Classic => "classic",
-            Self::Mip => "mip",
-        })
-    }
-}
 
 /// A scene of n Gaussian splats. All numbers are finite.
 #[derive(Debug, Clone, PartialEq)]
@@ -283,7 +264,7 @@ impl Splats {
     #[must_use]
     pub fn extra(&self, name: &str) -> Option<Vec<f64>> {
         let extra = self.layout.extras.iter().find(|extra| extra.name == name)?;
-        Some((0..self.len()).map(|i| extra.kind.decode(extra.of(i))).collect())
+        Some((0..self.len()).map(|i| extra.number(i)).collect())
     }
 
     /// Size in memory, bytes.

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use super::columns::{Field, Layout};
-use super::read::{MODE, place_of_rest};
+use super::read::{DILATION, MODE, place_of_rest};
 use super::{RenderMode, Splats, coefficients};
 use crate::io::AtomicFile;
 use crate::{Error, Result};
@@ -47,9 +47,12 @@ impl Splats {
         layout.comments.retain(|comment| !comment.starts_with(OWN));
         let mode = match self.mode {
             RenderMode::Classic => "default",
-            RenderMode::Mip => "mip",
+            RenderMode::Mip | RenderMode::MipSplatting => "mip",
         };
         layout.comments.push(format!("{MODE} {mode}"));
+        if self.mode == RenderMode::MipSplatting {
+            layout.comments.push(format!("{DILATION} {}", self.mode.dilation()));
+        }
         for comment in comments {
             if comment.contains(char::is_control) {
                 return Err(Error::setting("comment", "one line of text", format!("`{comment}`")));
@@ -118,8 +121,8 @@ mod tests {
     fn what_is_written_is_read_bit_for_bit() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.ply");
-        for degree in 0..=3 {
-            let whole = splats(degree);
+        for (degree, mode) in (0..=3).zip(RenderMode::ALL.into_iter().cycle()) {
+            let whole = splats(degree).with_mode(mode);
             whole.write_ply(&path, &[], &[]).unwrap();
             assert_eq!(Splats::read(&path).unwrap(), whole);
             let first = fs::read(&path).unwrap();

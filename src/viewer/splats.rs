@@ -12,7 +12,7 @@ use super::pack::text;
 use super::page::{Page, Parts, write};
 use crate::export::SeenSplats;
 use crate::geometry::Aabb;
-use crate::splats::{FAINTEST, RenderMode, Splats};
+use crate::splats::{FAINTEST, Splats};
 use crate::uncertainty::{Answers, Observability};
 use crate::{Error, Result};
 
@@ -236,7 +236,8 @@ fn about(view: &SplatsView, packed: &Packed) -> Value {
     json!({
         "count": packed.count,
         "all": view.splats.len(),
-        "isMip": view.splats.mode() == RenderMode::Mip,
+        "isMip": view.splats.mode().is_compensated(),
+        "dilation": view.splats.mode().dilation(),
         "codes": { "anchor": anchor.to_array(), "logScales": log_scales, "color": color, "low": log10[0],
             "bytes": BYTES, "prior": PRIOR, "halfTurn": HALF_TURN },
     })
@@ -254,7 +255,7 @@ mod tests {
     use crate::estimate::{Estimation, GridSettings, RaySettings};
     use crate::geometry::Camera;
     use crate::monitor::Silent;
-    use crate::splats::SplatRenderer;
+    use crate::splats::{RenderMode, SplatRenderer};
     use crate::viewer::page::tests::check;
 
     /// Numbers from 0 to 1 without a pattern.

@@ -229,6 +229,13 @@ impl Desk {
         let properties: String = cloud.iter().map(|property| format!("property {property}\n")).collect();
         let start = "ply\nformat binary_little_endian 1.0\n";
         self.write("cloud.ply", format!("{start}element vertex 0\n{properties}end_header\n"));
+        self.write("moving.ply", format!("{start}element vertex 0\nproperty float trbf_center\nend_header\n"));
+        self.write("mesh.ply", format!("{start}element face 1\nproperty list uchar int i\nend_header\n"));
+        let names = b"X\x10\0\0\0_model.opacitiesX\x0d\0\0\0_model.scalesX\x0c\0\0\0_model.quats";
+        let mut archive = zip::ZipWriter::new(std::fs::File::create(self.path("splats.ckpt")).unwrap());
+        archive.start_file("step/data.pkl", zip::write::SimpleFileOptions::default()).unwrap();
+        std::io::Write::write_all(&mut archive, names).unwrap();
+        archive.finish().unwrap();
         let changed = |file: &[u8], old: &[u8], new: &[u8]| {
             let mut bytes = file.to_vec();
             let at = bytes.windows(old.len()).rposition(|window| window == old).unwrap();

@@ -60,15 +60,16 @@ impl ValueEnum for RayAverage {
 
 impl ValueEnum for RenderMode {
     fn value_variants<'a>() -> &'a [Self] {
-        &[Self::Classic, Self::Mip]
+        &Self::ALL
     }
 
     fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
-        let (name, help) = match self {
-            Self::Classic => ("classic", "as the original code: small splats grow by 0.3 px^2 and keep their opacity"),
-            Self::Mip => ("mip", "as Mip-Splatting: what a splat gains in area it loses in opacity"),
+        let help = match self {
+            Self::Classic => "as the original code: small splats grow by 0.3 px^2 and keep their opacity",
+            Self::Mip => "as gsplat's `antialiased`: what a splat gains in area it loses in opacity",
+            Self::MipSplatting => "as Mip-Splatting's code: the same, but splats grow by 0.1 px^2",
         };
-        Some(clap::builder::PossibleValue::new(name).help(help))
+        Some(clap::builder::PossibleValue::new(self.name()).help(help))
     }
 }
 

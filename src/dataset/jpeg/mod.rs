@@ -13,6 +13,7 @@ use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
+use super::sizes::Head;
 use crate::{Error, Result};
 
 const END: u8 = 0xD9;

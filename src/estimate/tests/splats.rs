@@ -277,7 +277,7 @@ fn sight_tells_cameras_that_see_the_splats_from_others() {
 fn the_domain_leaves_out_what_hardly_a_ray_meets() {
     let (splats, cameras) = (shell(), cameras());
     let renderer = crate::splats::SplatRenderer::new(&splats, Vec3::ZERO);
-    let Domain::Box(bounds) = seen_domain(&renderer, &cameras, &Silent).unwrap() else { panic!("a box") };
+    let Domain::Box(bounds) = seen_domain(&renderer, &cameras, &Silent).unwrap().domain else { panic!("a box") };
     // The far splat makes the box of all centres a hundred times as large.
     assert!(splats.bounds().longest_edge() > 40.0);
     assert!(bounds.longest_edge() < 2.2 && bounds.longest_edge() > 1.5, "{bounds:?}");
@@ -302,9 +302,43 @@ fn the_domain_leaves_out_what_hardly_a_ray_meets() {
         })
         .collect();
     let renderer = crate::splats::SplatRenderer::new(&unbounded, Vec3::ZERO);
-    let domain = seen_domain(&renderer, &inside, &Silent).unwrap();
+    let domain = seen_domain(&renderer, &inside, &Silent).unwrap().domain;
     let Domain::Contracted { center, radius, .. } = domain else { panic!("{domain:?}") };
     assert!(center.iter().all(|c| c.abs() < 0.3) && (0.05..0.5).contains(&radius), "{domain:?}");
+}
+
+/// A sky around an object is most of what cameras see, and no reason for cells that are larger than the object.
+#[test]
+fn a_sky_does_not_change_the_domain_of_an_object() {
+    let (object, cameras) = (shell(), cameras());
+    let domain_of = |splats: &Splats, cameras: &[Camera]| {
+        seen_domain(&crate::splats::SplatRenderer::new(splats, Vec3::ZERO), cameras, &Silent).unwrap()
+    };
+    let alone = domain_of(&object, &cameras);
+    assert_eq!(alone.behind, 0.0);
+    for (radius, count) in [(10.0, 4000), (25.0, 40), (100.0, 4000), (1e5, 400)] {
+        let at = |i: usize| {
+            let (z, angle) = (1.0 - (2.0 * i as f32 + 1.0) / count as f32, i as f32 * 2.399_963);
+            radius * Vec3::new((1.0 - z * z).sqrt() * angle.cos(), (1.0 - z * z).sqrt() * angle.sin(), z)
+        };
+        let size = (radius * 3.0 / (count as f32).sqrt()).ln();
+        let all = object.len() + count;
+        let join =
+            |a: &mut dyn Iterator<Item = Vec3>, b: &mut dyn Iterator<Item = Vec3>| a.chain(b).collect::<Vec<_>>();
+        let with_sky = Splats::new(
+            join(&mut object.means().iter().copied(), &mut (0..count).map(at)),
+            join(&mut object.log_scales().iter().copied(), &mut (0..count).map(|_| Vec3::splat(size))),
+            (0..all).map(|i| if i < object.len() { object.rotation(i) } else { Quat::IDENTITY }).collect(),
+            (0..all).map(|i| if i < object.len() { object.opacity_logits()[i] } else { 5.0 }).collect(),
+            (0..all).flat_map(|i| if i < object.len() { object.sh(i).to_vec() } else { vec![0.5; 12] }).collect(),
+            1,
+            RenderMode::Classic,
+        );
+        let seen = domain_of(&with_sky.unwrap(), &cameras);
+        let (Domain::Box(expected), Domain::Box(found)) = (alone.domain, seen.domain) else { panic!("{seen:?}") };
+        let ratio = found.longest_edge() / expected.longest_edge();
+        assert!((0.9..1.1).contains(&ratio) && (0.1..0.95).contains(&seen.behind), "{radius}, {count}: {seen:?}");
+    }
 }
 
 #[test]

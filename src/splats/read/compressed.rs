@@ -7,7 +7,7 @@ use glam::{Vec3, Vec4};
 use super::super::columns::Scalar;
 use super::super::{RenderMode, Splats, coefficients};
 use super::constant_of;
-use super::header::{Element, Ply, Property};
+use super::header::{Element, OF_SPLATS, Ply, Property};
 use super::ply::place_of_rest;
 use super::raw::{Raw, logit};
 use crate::{Error, Result};
@@ -75,7 +75,7 @@ pub(super) fn read(path: &Path, ply: &Ply, mode: RenderMode) -> Result<Splats> {
     let lacks = |name: &str| missing(format!("an element `{name}` of compressed splats"));
     let vertex = element("vertex").ok_or_else(|| lacks("vertex"))?;
     let chunks = element("chunk").ok_or_else(|| lacks("chunk"))?;
-    if let Some(other) = ply.elements.iter().find(|e| !["chunk", "vertex", "sh"].contains(&e.name.as_str())) {
+    if let Some(other) = ply.elements.iter().find(|e| !OF_SPLATS.contains(&e.name.as_str()) && e.count > 0) {
         let expected = "elements `chunk`, `vertex` and `sh` of compressed splats";
         return Err(Error::malformed(path, "header", expected, format!("an element `{}`", other.name)));
     }
@@ -128,7 +128,7 @@ pub(super) fn read(path: &Path, ply: &Ply, mode: RenderMode) -> Result<Splats> {
             raw.sh[i * 3 * k + place_of_rest(entry, k)] = coefficient(byte);
         }
     }
-    let splats = raw.finish(path, None)?;
+    let splats = raw.finish(path, None, Vec::new())?;
     Ok(splats.with_comments(ply.comments.clone()))
 }
 
@@ -199,7 +199,8 @@ mod tests {
         let words = [position, 1 << 30 | 1023 << 20 | 512 << 10, u32::MAX, 0xff00_8033];
         let splats = read_file(&file(300, words, true, 9)).unwrap();
         assert_eq!((splats.len(), splats.degree()), (300, 1));
-        for (i, high) in [(0, 1.0_f32), (299, 2.0)] {
+        // 256 splats have the first chunk's range.
+        for (i, high) in [(0, 1.0_f32), (255, 1.0), (256, 2.0), (299, 2.0)] {
             let third = -1.0 + (high + 1.0) * 1023.0 / 2047.0;
             assert!((splats.mean(i) - Vec3::new(-1.0, high, third)).length() < 1e-6, "{}", splats.mean(i));
             assert_eq!(splats.log_scales()[i], Vec3::splat(high));

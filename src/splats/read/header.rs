@@ -8,6 +8,10 @@ use crate::{Error, Result};
 
 /// Longest header, bytes. One of the original code has 1,500.
 const LONGEST: usize = 128 << 10;
+/// Elements of splats, compressed or not.
+pub(super) const OF_SPLATS: [&str; 3] = ["vertex", "chunk", "sh"];
+/// Elements that make points a mesh.
+const MESHES: [&str; 2] = ["face", "tristrips"];
 /// What every header ends with.
 const END: &[u8] = b"end_header";
 
@@ -17,22 +21,59 @@ pub(super) struct Element<'a> {
     pub name: String,
     pub count: usize,
     pub properties: Vec<Property>,
-    /// Size of a row, bytes.
+    /// Size of a row, bytes; of an element with lists, the least.
     pub stride: usize,
-    /// All rows, `count` times `stride` bytes.
+    /// All rows, `count` times `stride` bytes, or more with lists.
     pub rows: &'a [u8],
 }
 
-/// A number of every row.
+/// A number, or a list of numbers, of every row.
 #[derive(Debug)]
 pub(super) struct Property {
     pub name: String,
     pub kind: Scalar,
-    /// Bytes before it in a row.
+    /// Bytes before it in a row without lists.
     pub offset: usize,
+    /// The type of the list's length, if it is one.
+    pub length: Option<Scalar>,
 }
 
 impl Element<'_> {
+    /// Whether rows differ in size.
+    pub fn has_lists(&self) -> bool {
+        self.properties.iter().any(|property| property.length.is_some())
+    }
+
+    /// The number of bytes of all rows, which `bytes` begins with; `None` if it has fewer.
+    fn size(&self, bytes: &[u8]) -> Option<usize> {
+        if !self.has_lists() {
+            return self.count.checked_mul(self.stride).filter(|size| *size <= bytes.len());
+        }
+        let mut at = 0_usize;
+        // A row with a list has at least the byte of its length, so that rows are no more than bytes.
+        for property in (0..self.count).flat_map(|_| &self.properties) {
+            let numbers = match property.length {
+                None => 1.0,
+                Some(kind) => {
+                    let length = kind.decode(bytes.get(at..)?.get(..kind.size())?);
+                    at += kind.size();
+                    length
+                }
+            };
+            if !(numbers >= 0.0 && numbers <= bytes.len() as f64) {
+                return None;
+            }
+            at = at.checked_add(numbers as usize * property.kind.size()).filter(|at| *at <= bytes.len())?;
+        }
+        Some(at)
+    }
+
+    fn describe(&self) -> String {
+        let Self { name, count, stride, .. } = self;
+        let more = if self.has_lists() { " or more" } else { "" };
+        format!("{count} rows of {stride}{more} bytes of element `{name}`")
+    }
+
     /// The property of a name.
     pub fn property(&self, name: &str) -> Option<&Property> {
         self.properties.iter().find(|property| property.name == name)
@@ -61,8 +102,8 @@ pub(super) struct Ply<'a> {
 /// Takes apart the bytes of a PLY file.
 ///
 /// # Errors
-/// If the header is none, if the file is not binary and little-endian, if a row has a list, or if the file's length is
-/// not that of its elements.
+/// If the header is none, if the file is not binary and little-endian, if it has faces or lists of splats, if a name
+/// appears twice, or if the file's length is not that of its elements.
 pub(super) fn parse<'a>(path: &Path, bytes: &'a [u8]) -> Result<Ply<'a>> {
     let (header, mut body) = split(path, bytes)?;
     let mut ply = Ply { elements: Vec::new(), comments: Vec::new() };
@@ -86,36 +127,55 @@ pub(super) fn parse<'a>(path: &Path, bytes: &'a [u8]) -> Result<Ply<'a>> {
                 let kind = Scalar::named(kind).ok_or_else(|| wrong("`property TYPE NAME` of a type of PLY"))?;
                 let element = ply.elements.last_mut().ok_or_else(|| wrong("an element before its properties"))?;
                 let (name, offset) = (name.to_string(), element.stride);
-                element.properties.push(Property { name, kind, offset });
+                element.properties.push(Property { name, kind, offset, length: None });
                 element.stride += kind.size();
             }
-            ["property", "list", ..] => return Err(wrong("properties of one number (a mesh is no file of splats)")),
+            ["property", "list", length, kind, name] => {
+                let types = Scalar::named(length).zip(Scalar::named(kind));
+                let (length, kind) = types.ok_or_else(|| wrong("`property list TYPE TYPE NAME` of types of PLY"))?;
+                let element = ply.elements.last_mut().ok_or_else(|| wrong("an element before its properties"))?;
+                if OF_SPLATS.contains(&&*element.name) {
+                    return Err(wrong("properties of one number in elements of splats"));
+                }
+                let (name, offset) = (name.to_string(), element.stride);
+                element.properties.push(Property { name, kind, offset, length: Some(length) });
+                element.stride += length.size();
+            }
             _ => return Err(wrong("a line of a PLY header")),
         }
     }
     if !has_format {
         return Err(Error::malformed(path, "header", "`format binary_little_endian 1.0`", "no format"));
     }
-    let wanted = ply.elements.iter().try_fold(0_usize, |sum, e| sum.checked_add(e.count.checked_mul(e.stride)?));
-    if wanted != Some(body.len()) {
-        let rows: Vec<String> = ply
-            .elements
-            .iter()
-            .map(|e| format!("{} rows of {} bytes of element `{}`", e.count, e.stride, e.name))
-            .collect();
-        let expected = format!("{} after the header", rows.join(" and "));
-        let found = format!("{} bytes (truncated or altered)", body.len());
-        return Err(Error::malformed(path, "length", expected, found));
+    if let Some(faces) = ply.elements.iter().find(|e| MESHES.contains(&&*e.name) && e.count > 0) {
+        let found = format!("{} of element `{}`", faces.count, faces.name);
+        return Err(Error::malformed(path, "header", "no faces (a mesh is no file of splats)", found));
     }
+    once(path, "header, elements", ply.elements.iter().map(|element| &element.name))?;
+    let bytes = body.len();
+    let mut is_whole = true;
     for element in &mut ply.elements {
-        let mut names = BTreeSet::new();
-        if let Some(twice) = element.properties.iter().find(|property| !names.insert(&property.name)) {
-            let place = format!("header, element `{}`", element.name);
-            return Err(Error::malformed(path, place, "names once each", format!("`{}` twice", twice.name)));
-        }
-        (element.rows, body) = body.split_at(element.count * element.stride);
+        let place = format!("header, element `{}`", element.name);
+        once(path, &place, element.properties.iter().map(|property| &property.name))?;
+        let size = element.size(body);
+        is_whole &= size.is_some();
+        (element.rows, body) = body.split_at(size.unwrap_or(0));
+    }
+    if !is_whole || !body.is_empty() {
+        let rows: Vec<String> = ply.elements.iter().map(Element::describe).collect();
+        let expected = format!("{} after the header", rows.join(" and "));
+        return Err(Error::malformed(path, "length", expected, format!("{bytes} bytes (truncated or altered)")));
     }
     Ok(ply)
+}
+
+/// Refuses names that appear twice.
+fn once<'a>(path: &Path, place: &str, mut names: impl Iterator<Item = &'a String>) -> Result<()> {
+    let mut seen = BTreeSet::new();
+    match names.find(|name| !seen.insert(*name)) {
+        None => Ok(()),
+        Some(twice) => Err(Error::malformed(path, place, "names once each", format!("`{twice}` twice"))),
+    }
 }
 
 /// The header up to the line `end_header`, and what follows that line.
@@ -160,6 +220,28 @@ mod tests {
     }
 
     #[test]
+    fn lists_are_passed_over() {
+        let text = "ply\nformat binary_little_endian 1.0\nelement edge 2\nproperty uchar a\nproperty list uchar short \
+                    b\nproperty list int double c\nelement none 1000000000000\nelement vertex 1\nproperty uchar x\n\
+                    element faces 1\nproperty list char uchar i\nend_header\n";
+        let first = [&[7, 2, 1, 0, 2, 0][..], &1_i32.to_le_bytes(), &0.5_f64.to_le_bytes()].concat();
+        let second = [&[8, 0][..], &0_i32.to_le_bytes()].concat();
+        let bytes = [text.as_bytes(), &first, &second, &[9], &[3, 1, 2, 3]].concat();
+        let ply = parse(Path::new("s.ply"), &bytes).unwrap();
+        assert_eq!(ply.elements[2].rows, [9]);
+        for end in text.len()..bytes.len() {
+            assert!(parse(Path::new("s.ply"), &bytes[..end]).is_err(), "{end}");
+        }
+        // A negative length, one beyond the file, and bytes behind the last element.
+        for (at, byte) in [(bytes.len() - 4, 0xff), (text.len() + 9, 0x7f), (bytes.len() - 4, 2)] {
+            let mut altered = bytes.clone();
+            altered[at] = byte;
+            let error = parse(Path::new("s.ply"), &altered).unwrap_err().to_string();
+            assert!(error.contains("length: expected 2 rows of 6 or more bytes of element `edge`"), "{error}");
+        }
+    }
+
+    #[test]
     fn headers_are_refused_with_their_line() {
         let start = "ply\nformat binary_little_endian 1.0\n";
         for (text, expected) in [
@@ -171,7 +253,11 @@ mod tests {
             (format!("{start}element vertex -1\nend_header\n"), "line 3: expected `element NAME COUNT`"),
             (format!("{start}property float x\nend_header\n"), "line 3: expected an element before its properties"),
             (format!("{start}element v 1\nproperty half x\nend_header\n"), "line 4: expected `property TYPE NAME`"),
-            (format!("{start}element f 1\nproperty list uchar int i\nend_header\n"), "a mesh is no file of splats"),
+            (format!("{start}element face 1\nproperty list uchar int i\nend_header\n"), "found 1 of element `face`"),
+            (format!("{start}element sh 1\nproperty list uchar int i\nend_header\n"), "properties of one number"),
+            (format!("{start}element f 1\nproperty list half int i\nend_header\n"), "`property list TYPE TYPE NAME`"),
+            (format!("{start}element v 0\nelement v 0\nend_header\n"), "header, elements: expected names once each"),
+            (format!("{start}element f 9\nproperty list int int i\nend_header\n1234"), "9 rows of 4 or more bytes"),
             (format!("{start}elephant\nend_header\n"), "found `elephant`"),
             (format!("{start}element v 1\nproperty char x\nproperty int x\nend_header\n12345"), "found `x` twice"),
             (format!("{start}element v 2\nproperty int x\nend_header\n1234567"), "2 rows of 4 bytes of element `v`"),

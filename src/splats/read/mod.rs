@@ -1,5 +1,6 @@
 //! Reads files of splats. Each is read whole and checked against the bytes present before anything is allocated.
 
+mod checkpoint;
 mod compressed;
 mod header;
 mod ply;
@@ -9,7 +10,8 @@ mod spz;
 
 use std::path::Path;
 
-pub(super) use self::ply::{MODE, place_of_rest};
+pub use self::checkpoint::refuse_checkpoint;
+pub(super) use self::ply::{DILATION, MODE, place_of_rest};
 use super::Splats;
 use crate::{Error, Result};
 

@@ -4,15 +4,25 @@ use std::path::Path;
 
 use glam::{Vec3, Vec4};
 
-use super::super::columns::{Extra, Field, Layout};
+use super::super::columns::{Effect, Extra, Field, Layout, Scalar};
 use super::super::{RenderMode, Splats, coefficients};
-use super::compressed;
-use super::header::{Element, Property, parse};
+use super::header::{Element, Ply, Property, parse};
 use super::raw::Raw;
+use super::{compressed, constant_of};
 use crate::{Error, Result};
 
 /// The header's comment that states the [`RenderMode`].
 pub(in crate::splats) const MODE: &str = "SplatRenderMode:";
+/// The header's comment beside mode `mip` that states by which variance splats grow, if it is not 0.3 px².
+pub(in crate::splats) const DILATION: &str = "SplatDilation:";
+/// The same of Postshot: 1 for mip, 0 for classic.
+const ANTIALIASED: &str = "antialiased";
+/// What CloudCompare puts before the names of properties that it does not know, once more whenever it saves a file.
+const PREFIX: &str = "scalar_";
+/// Colours in place of the constant coefficients, as `ns-export --ply-color-mode rgb` writes them.
+const COLORS: [&str; 3] = ["red", "green", "blue"];
+/// Names that a note lists at most.
+const LISTED: usize = 8;
 
 /// Reads the bytes of a PLY file, compressed or not.
 pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats> {
@@ -23,43 +33,107 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats> {
         return Err(Error::malformed(path, "header", "an element `vertex`", format!("elements {}", names.join(", "))));
     };
     if ply.elements[vertex].property("packed_position").is_some() {
-        return compressed::read(path, &ply, mode);
+        return compressed::read(path, &ply, mode.unwrap_or_default());
     }
-    if let Some(other) = ply.elements.iter().find(|element| element.name != "vertex") {
-        let found = format!("an element `{}`", other.name);
-        return Err(Error::malformed(path, "header", "the element `vertex` alone", found));
+    let mut notes = Vec::new();
+    check_color_space(path, &ply, &mut notes)?;
+    let (mut layout, degree) = layout(path, &ply.elements[vertex], ply.comments)?;
+    let unknown: Vec<&str> =
+        layout.extras.iter().filter(|extra| Effect::of(&extra.name).is_none()).map(|extra| &*extra.name).collect();
+    if !unknown.is_empty() {
+        let more = if unknown.len() > LISTED { ", …" } else { "" };
+        let names = unknown[..unknown.len().min(LISTED)].join(", ");
+        notes.push(format!(
+            "properties without a known meaning are kept, and do not change what is drawn: {names}{more}"
+        ));
     }
-    let (layout, degree) = layout(path, &ply.elements[vertex], ply.comments)?;
-    numbers(&ply.elements[vertex], &layout, degree, mode).finish(path, Some(layout))
+    let mut raw = numbers(path, &ply.elements[vertex], &layout, degree, mode.unwrap_or_default())?;
+    // A file with this filter is of Mip-Splatting or of a code that builds on it.
+    if let Some(filter) = layout.take(Effect::Filter) {
+        raw.mode = mode.unwrap_or(RenderMode::MipSplatting);
+        raw.filter(|i| filter.number(i));
+        notes.push(format!(
+            "`{}` of Mip-Splatting is applied to scales and opacities; splats are drawn in mode `{}` unless \
+             --splat-mode says another",
+            filter.name, raw.mode
+        ));
+    }
+    raw.finish(path, Some(layout), notes)
 }
 
-/// Takes the render mode out of the comments.
-fn mode_of(path: &Path, comments: &mut Vec<String>) -> Result<RenderMode> {
-    let mut mode = RenderMode::Classic;
-    for comment in comments.extract_if(.., |comment| comment.trim_start().starts_with(MODE)) {
-        mode = match comment.trim_start()[MODE.len()..].trim() {
-            "mip" => RenderMode::Mip,
-            "default" | "classic" => RenderMode::Classic,
-            other => {
-                let place = format!("header, comment `{MODE}`");
-                return Err(Error::malformed(path, place, "`mip` or `default`", format!("`{other}`")));
+/// Takes the render mode out of the comments. The last one counts.
+fn mode_of(path: &Path, comments: &mut Vec<String>) -> Result<Option<RenderMode>> {
+    let mut mode = None;
+    let is_stated = |comment: &mut String| {
+        let antialiased = comment.strip_prefix(ANTIALIASED).is_some_and(|rest| [" 0", " 1"].contains(&rest.trim_end()));
+        antialiased || [MODE, DILATION].iter().any(|key| comment.trim_start().starts_with(key))
+    };
+    for comment in comments.extract_if(.., is_stated) {
+        let (key, value) = comment.trim().split_once([':', ' ']).unwrap_or_default();
+        let value = value.trim();
+        mode = Some(match (key, value) {
+            ("SplatRenderMode", "mip") | ("antialiased", "1") => RenderMode::Mip,
+            ("SplatRenderMode", "default" | "classic") | ("antialiased", "0") => RenderMode::Classic,
+            ("SplatDilation", "0.1") if mode == Some(RenderMode::Mip) => RenderMode::MipSplatting,
+            (key, _) => {
+                let expected = if key == "SplatDilation" { "`0.1` after mode `mip`" } else { "`mip` or `default`" };
+                let place = format!("header, comment `{key}:`");
+                return Err(Error::malformed(path, place, expected, format!("`{value}`")));
             }
-        };
+        });
     }
     Ok(mode)
 }
 
+/// Refuses colours in linear light, which SHARP's element marks with 1: pictures of them would be too dark.
+fn check_color_space(path: &Path, ply: &Ply, notes: &mut Vec<String>) -> Result<()> {
+    let is_beside = |element: &&Element| element.name != "vertex" && element.count > 0 && !element.has_lists();
+    let mut beside = ply.elements.iter().filter(is_beside);
+    let stated = beside.find_map(|element| Some((element, element.property("color_space")?)));
+    let Some((element, space)) = stated else { return Ok(()) };
+    let number = space.number(&element.rows[..element.stride]);
+    if number != 0.0 {
+        let expected = "colours in sRGB, 0 (ml-sharp's `save_ply` writes them)";
+        return Err(Error::malformed(path, "`color_space`", expected, format!("{number}, linear light")));
+    }
+    let note = "the file is SHARP's, whose own renderer blends colours in linear light; here they are blended in sRGB";
+    notes.push(note.into());
+    Ok(())
+}
+
+/// The names of properties as other programs have them: without CloudCompare's prefix.
+fn names_of(vertex: &Element) -> Vec<String> {
+    let plain = |property: &Property| match property.name.trim_start_matches(PREFIX) {
+        "" => property.name.clone(),
+        name if vertex.property(name).is_some() => property.name.clone(),
+        name => name.to_string(),
+    };
+    vertex.properties.iter().map(plain).collect()
+}
+
 /// The meaning of all properties, and the degree that follows from their number.
 fn layout(path: &Path, vertex: &Element, comments: Vec<String>) -> Result<(Layout, u8)> {
+    let names = names_of(vertex);
+    let has = |name: &str| names.iter().any(|other| other == name);
+    let is_colored = ["opacity", "scale_0", "rot_0"].iter().all(|name| has(name)) && !has("f_dc_0");
+    let named = |name: &str| {
+        let color = COLORS.iter().position(|color| *color == name).filter(|_| is_colored);
+        color.map(Field::Constant).or_else(|| Field::named(name))
+    };
+    let others: Vec<&str> = names.iter().filter(|name| named(name).is_none()).map(String::as_str).collect();
+    if let Some((name, what)) = Effect::first_change(&others) {
+        let expected = "splats that are drawn by their parameters alone (if these are, remove the property)";
+        return Err(Error::malformed(path, "header", expected, format!("`{name}`: {what}")));
+    }
     let mut extras = Vec::new();
-    let mut meaning = |property: &Property| {
-        Field::named(&property.name).unwrap_or_else(|| {
+    let mut meaning = |(name, property): (&String, &Property)| {
+        named(name).unwrap_or_else(|| {
             let bytes = vertex.rows.chunks_exact(vertex.stride).flat_map(|row| property.of(row)).copied().collect();
-            extras.push(Extra { name: property.name.clone(), kind: property.kind, bytes });
+            extras.push(Extra { name: name.clone(), kind: property.kind, bytes });
             Field::Extra(extras.len() - 1)
         })
     };
-    let order: Vec<Field> = vertex.properties.iter().map(&mut meaning).collect();
+    let order: Vec<Field> = names.iter().zip(&vertex.properties).map(&mut meaning).collect();
     let rest = order.iter().filter(|field| matches!(field, Field::Rest(_))).count();
     let Some(degree) = (0..=super::super::MAX_DEGREE).find(|degree| 3 * (coefficients(*degree) - 1) == rest) else {
         let expected = "0, 9, 24 or 45 properties `f_rest_…`, spherical harmonics of degree 0 to 3";
@@ -69,17 +143,16 @@ fn layout(path: &Path, vertex: &Element, comments: Vec<String>) -> Result<(Layou
         let name = missing.name(&[]);
         let hint = match missing {
             Field::Scale(2) => " (2D splats have no third scale; only 3D splats are read)",
-            Field::Constant(_) => " (points with colours are no splats)",
+            Field::Constant(_) if !has("opacity") => " (points with colours are no splats)",
             _ => "",
         };
-        let names: Vec<&str> = vertex.properties.iter().map(|property| property.name.as_str()).collect();
         return Err(Error::malformed(path, "header", format!("a property `{name}`{hint}"), names.join(" ")));
     }
     Ok((Layout { order, extras, comments }, degree))
 }
 
 /// The parameters of all rows.
-fn numbers(vertex: &Element, layout: &Layout, degree: u8, mode: RenderMode) -> Raw {
+fn numbers(path: &Path, vertex: &Element, layout: &Layout, degree: u8, mode: RenderMode) -> Result<Raw> {
     let (n, k) = (vertex.count, coefficients(degree));
     let mut raw = Raw {
         means: vec![Vec3::ZERO; n],
@@ -92,20 +165,40 @@ fn numbers(vertex: &Element, layout: &Layout, degree: u8, mode: RenderMode) -> R
     };
     for (i, row) in vertex.rows.chunks_exact(vertex.stride).enumerate() {
         for (field, property) in layout.order.iter().zip(&vertex.properties) {
+            let mut number = property.number(row);
             let entry = match *field {
                 Field::Mean(axis) => &mut raw.means[i][axis],
                 Field::Scale(axis) => &mut raw.log_scales[i][axis],
                 // The file begins with w.
                 Field::Rotation(entry) => &mut raw.rotations[i][(entry + 3) % 4],
                 Field::Opacity => &mut raw.opacity_logits[i],
-                Field::Constant(channel) => &mut raw.sh[i * 3 * k + channel],
+                Field::Constant(channel) => {
+                    if property.name.ends_with(COLORS[channel]) {
+                        number = constant_of(color(path, property, i, number)?).into();
+                    }
+                    &mut raw.sh[i * 3 * k + channel]
+                }
                 Field::Rest(entry) => &mut raw.sh[i * 3 * k + place_of_rest(entry, k)],
                 Field::Extra(_) => continue,
             };
-            *entry = property.number(row) as f32;
+            *entry = number as f32;
         }
     }
-    raw
+    Ok(raw)
+}
+
+/// A colour from 0 to 1. Whole numbers are parts of the largest one of 8 or 16 bits.
+fn color(path: &Path, property: &Property, i: usize, number: f64) -> Result<f64> {
+    let value = match property.kind {
+        Scalar::U8 => number / f64::from(u8::MAX),
+        Scalar::U16 => number / f64::from(u16::MAX),
+        _ => number,
+    };
+    if value <= 1.0 || !value.is_finite() {
+        return Ok(value);
+    }
+    let expected = "a colour up to 1, or of type `uchar` or `ushort`";
+    Err(Error::malformed(path, format!("splat {i}, `{}`", property.name), expected, number.to_string()))
 }
 
 /// Where `f_rest_[entry]` belongs among the `3 k` coefficients of a splat.
@@ -115,100 +208,4 @@ pub(in crate::splats) const fn place_of_rest(entry: usize, k: usize) -> usize {
 }
 
 #[cfg(test)]
-mod tests {
-    use glam::Quat;
-
-    use super::*;
-
-    /// A file of these properties, whose numbers are the names' places in the list in eighths, a hundred more in each
-    /// row.
-    fn file(properties: &[&str], comments: &str) -> Vec<u8> {
-        let lines: String = properties.iter().map(|property| format!("property {property}\n")).collect();
-        let header = format!("ply\nformat binary_little_endian 1.0\n{comments}element vertex 2\n{lines}end_header\n");
-        let mut bytes = header.into_bytes();
-        for row in 0..2 {
-            for (i, property) in properties.iter().enumerate() {
-                let value = 100 * row + i;
-                match property.split(' ').next().unwrap() {
-                    "float" => bytes.extend((value as f32 / 8.0).to_le_bytes()),
-                    "double" => bytes.extend((value as f64 / 8.0).to_le_bytes()),
-                    "uchar" => bytes.push(value as u8),
-                    other => panic!("{other}"),
-                }
-            }
-        }
-        bytes
-    }
-
-    fn properties(rest: usize) -> Vec<String> {
-        let mut all: Vec<String> = ["float rot_3", "uchar label", "double x", "float z", "float y", "float opacity"]
-            .map(String::from)
-            .to_vec();
-        all.extend((0..rest).map(|i| format!("float f_rest_{i}")));
-        let others = ["scale_2", "scale_1", "f_dc_0", "f_dc_1", "f_dc_2", "scale_0", "rot_0", "rot_1", "rot_2", "time"];
-        all.extend(others.map(|name| format!("float {name}")));
-        all
-    }
-
-    fn read_file(properties: &[&str], comments: &str) -> Result<Splats> {
-        read(Path::new("s.ply"), &file(properties, comments))
-    }
-
-    #[test]
-    fn properties_are_found_by_their_names() {
-        for (degree, rest) in [(0, 0), (1, 9), (2, 24)] {
-            let all = properties(rest);
-            let names: Vec<&str> = all.iter().map(String::as_str).collect();
-            let splats = read_file(&names, "comment made by hand\n").unwrap();
-            let at = |name: &str| names.iter().position(|p| p.ends_with(&format!(" {name}"))).unwrap() as f32 / 8.0;
-            assert_eq!((splats.degree(), splats.len(), splats.mode()), (degree, 2, RenderMode::Classic));
-            assert_eq!(splats.mean(1), Vec3::new(at("x"), at("y"), at("z")) + 12.5);
-            assert_eq!(splats.log_scales()[0], Vec3::new(at("scale_0"), at("scale_1"), at("scale_2")));
-            assert_eq!(splats.opacity_logits(), [5.0, 105.0].map(|v| v / 8.0));
-            let [w, x, y, z] = [0, 1, 2, 3].map(|i| at(&format!("rot_{i}")));
-            let angle = splats.rotation(0).dot(Quat::from_xyzw(x, y, z, w).normalize());
-            assert!((angle - 1.0).abs() < 1e-6, "{angle}");
-            let k = coefficients(degree);
-            for c in 0..3 {
-                assert_eq!(splats.sh(1)[c], at(&format!("f_dc_{c}")) + 12.5);
-                for higher in 1..k {
-                    let name = format!("f_rest_{}", c * (k - 1) + higher - 1);
-                    assert_eq!(splats.sh(1)[3 * higher + c], at(&name) + 12.5, "{name}");
-                }
-            }
-            assert_eq!(splats.extra_names(), ["label", "time"]);
-            assert_eq!(splats.extra("label"), Some(vec![1.0, 101.0]));
-        }
-    }
-
-    #[test]
-    fn the_render_mode_is_read_from_the_header() {
-        let all = properties(0);
-        let names: Vec<&str> = all.iter().map(String::as_str).collect();
-        let mode = |comment: &str| read_file(&names, comment).map(|splats| splats.mode());
-        assert_eq!(mode("comment SplatRenderMode: mip\n").unwrap(), RenderMode::Mip);
-        assert_eq!(mode("comment SplatRenderMode: default\n").unwrap(), RenderMode::Classic);
-        let error = mode("comment SplatRenderMode: soft\n").unwrap_err().to_string();
-        assert!(error.contains("comment `SplatRenderMode:`: expected `mip` or `default`, found `soft`"), "{error}");
-    }
-
-    #[test]
-    fn files_of_something_else_are_refused_by_what_they_lack() {
-        let all = properties(9);
-        let without = |name: &str| -> Vec<&str> {
-            all.iter().map(String::as_str).filter(|p| !p.ends_with(&format!(" {name}"))).collect()
-        };
-        for (name, expected) in [
-            ("scale_2", "a property `scale_2` (2D splats have no third scale"),
-            ("f_dc_1", "a property `f_dc_1` (points with colours are no splats)"),
-            ("opacity", "a property `opacity`, found rot_3 label x z y"),
-            ("f_rest_8", "0, 9, 24 or 45 properties `f_rest_…`, spherical harmonics of degree 0 to 3, found 8"),
-        ] {
-            let error = read_file(&without(name), "").unwrap_err().to_string();
-            assert!(error.starts_with("s.ply: header: expected") && error.contains(expected), "{error}");
-        }
-        let text = b"ply\nformat binary_little_endian 1.0\nelement face 0\nend_header\n";
-        let error = read(Path::new("s.ply"), text).unwrap_err().to_string();
-        assert!(error.contains("an element `vertex`, found elements `face`"), "{error}");
-    }
-}
+mod tests;

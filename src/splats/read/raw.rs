@@ -37,16 +37,36 @@ pub(super) fn logit(opacity: f64) -> f32 {
 }
 
 impl Raw {
-    /// Splats of these numbers, with the layout of their file, or else that of the original code.
+    /// Smooths every splat by an isotropic Gaussian of deviation `radius(i)`, as Mip-Splatting's renderer does (Yu et
+    /// al., 2024, §4.1): s² + f², and opacities times √(det / det').
+    pub fn filter(&mut self, radius: impl Fn(usize) -> f64) {
+        for (i, (scales, logit)) in self.log_scales.iter_mut().zip(&mut self.opacity_logits).enumerate() {
+            let f = radius(i);
+            if f == 0.0 {
+                continue;
+            }
+            let before = scales.as_dvec3();
+            let after = (2.0 * before).exp() + f * f;
+            let after = 0.5 * after.map(f64::ln);
+            *scales = after.as_vec3();
+            // o exp(−d), whose logit needs 1 − o exp(−d) without cancellation.
+            let (x, d) = (f64::from(*logit), (after - before).element_sum());
+            let ln_opacity = -(-x).exp().ln_1p();
+            let rest = 1.0 / (1.0 + x.exp()) - ln_opacity.exp() * (-d).exp_m1();
+            *logit = (ln_opacity - d - rest.ln()) as f32;
+        }
+    }
+
+    /// Splats of these numbers, with the layout of their file, or else that of the original code, and with the notes
+    /// of its reader before those of dropped and replaced numbers.
     ///
     /// # Errors
     /// If there are none, or if more than one in [`ONE_IN`] is unusable.
-    pub fn finish(mut self, path: &Path, layout: Option<Layout>) -> Result<Splats> {
+    pub fn finish(mut self, path: &Path, layout: Option<Layout>, mut notes: Vec<String>) -> Result<Splats> {
         let n = self.means.len();
         if n == 0 {
             return Err(Error::malformed(path, "number of splats", "at least one", "0"));
         }
-        let mut notes = Vec::new();
         self.replace_infinities(&mut notes);
         let unusable: Vec<Option<(&str, f32)>> = (0..n).map(|i| self.unusable(i)).collect();
         let mut all = unusable.iter().enumerate().filter_map(|(i, found)| found.map(|found| (i, found)));
@@ -154,7 +174,7 @@ mod tests {
     }
 
     fn finish(raw: Raw) -> Result<Splats> {
-        raw.finish(Path::new("s.ply"), None)
+        raw.finish(Path::new("s.ply"), None, Vec::new())
     }
 
     #[test]
@@ -189,6 +209,30 @@ mod tests {
         assert_eq!((splats.log_scales()[1].y, splats.notes().len()), (FLAT, 2));
         assert!(splats.scale(1).y.powi(2) > f32::MIN_POSITIVE);
         assert_eq!([0.0, 0.5, 1.0].map(logit), [-OPAQUE, 0.0, OPAQUE]);
+    }
+
+    #[test]
+    fn filters_change_scales_and_opacities() {
+        let mut some = raw(5);
+        let filters = [0.0, 0.75, 1e-4, 2.0, f64::NAN];
+        some.log_scales[1] = Vec3::new(0.0, -2.0, 1.0);
+        some.opacity_logits[2] = 30.0;
+        some.log_scales[3] = Vec3::splat(f32::NEG_INFINITY);
+        some.filter(|i| filters[i]);
+        assert_eq!((some.log_scales[0], some.opacity_logits[0]), (Vec3::ZERO, 0.5), "bit for bit");
+        let s = [1.0, (-2.0_f64).exp(), 1.0_f64.exp()];
+        let grown = s.map(|s| (s * s + 0.5625).sqrt());
+        for (axis, grown) in grown.iter().enumerate() {
+            assert!((f64::from(some.log_scales[1][axis]) - grown.ln()).abs() < 1e-6);
+        }
+        let opacity = 1.0 / (1.0 + (-0.5_f64).exp()) * s.iter().product::<f64>() / grown.iter().product::<f64>();
+        assert!((f64::from(some.opacity_logits[1]) - (opacity / (1.0 - opacity)).ln()).abs() < 1e-6);
+        // 1 − o is 1e-13, and 1.5e-8 of o is lost to the filter.
+        let expected = -f64::ln((-30.0_f64).exp() + 1.5e-8);
+        assert!((f64::from(some.opacity_logits[2]) - expected).abs() < 1e-4, "{}", some.opacity_logits[2]);
+        // A point without extent is invisible, and has the filter's size.
+        assert_eq!(some.opacity_logits[3], f32::NEG_INFINITY);
+        assert!((some.log_scales[3].x - 2_f32.ln()).abs() < 1e-6 && some.log_scales[4].x.is_nan());
     }
 
     #[test]

@@ -39,7 +39,7 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats> {
         let [w, x, y, z] = [28, 29, 30, 31].map(|at: usize| (f32::from(splat[at]) - 128.0) / 128.0);
         raw.rotations.push(Vec4::new(x, y, z, w));
     }
-    raw.finish(path, None)
+    raw.finish(path, None, Vec::new())
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 
 mod pack;
 mod turn;
+mod xxh64;
 
 use std::io::Read;
 use std::ops::Range;
@@ -16,6 +17,7 @@ use half::f16;
 use ruzstd::decoding::StreamingDecoder;
 
 use self::turn::{STORED, Turn};
+use self::xxh64::xxh64;
 use super::super::{RenderMode, Splats, coefficients};
 use super::raw::{Raw, logit};
 use crate::{Error, Result};
@@ -35,8 +37,9 @@ const EXTENSIONS: u8 = 2;
 
 /// Unpacked content that is read whatever the size of the file, bytes.
 const ALWAYS: u64 = 4 << 20;
-/// Beyond that, unpacked bytes per byte of the file. Trained scenes have 1 to 4.
-const LARGEST_RATIO: u64 = 256;
+/// Beyond that, unpacked bytes per byte of the file. Trained scenes have 1 to 4. In memory splats take up to eight
+/// times as much as unpacked.
+const LARGEST_RATIO: u64 = 32;
 /// Smallest limit of a zstd window (RFC 8878 asks decoders for 8 MB).
 const WINDOW: u64 = 8 << 20;
 
@@ -82,8 +85,7 @@ impl Header {
         if flags & !(ANTIALIASED | EXTENSIONS) != 0 {
             return wrong("header, flags", "1 (antialiased) and 2 (extensions) alone", flags.to_string());
         }
-        let size = header.count as u64 * header.sizes().iter().sum::<usize>() as u64;
-        let most = ALWAYS.max(LARGEST_RATIO * file_size as u64);
+        let (size, most) = (header.size() as u64, ALWAYS.max(LARGEST_RATIO * file_size as u64));
         if size > most {
             let expected = format!("splats of at most {most} bytes in a file of {file_size}");
             return wrong("header, number of splats", &expected, format!("{} ({size} bytes)", header.count));
@@ -121,27 +123,28 @@ pub(super) fn is_spz(bytes: &[u8]) -> bool {
 /// Reads the bytes of a `.spz` file.
 pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats> {
     if bytes.starts_with(GZIP) {
-        return one_stream(path, GzDecoder::new(bytes), bytes.len());
+        let mut unpacked = GzDecoder::new(bytes);
+        let left = |unpacked: &GzDecoder<&[u8]>| unpacked.get_ref().len();
+        return one_stream(path, &mut unpacked, bytes.len(), &left);
     }
     let header = Header::parse(path, bytes, bytes.len())?;
     // Versions 1 to 3 are also found without gzip.
-    if header.version < 4 { one_stream(path, bytes, bytes.len()) } else { streams(path, bytes, &header) }
+    if header.version < 4 { one_stream(path, &mut &*bytes, bytes.len(), &|_| 0) } else { streams(path, bytes, &header) }
 }
 
-/// Versions 1 to 3: header, parameters, extensions.
-fn one_stream(path: &Path, mut unpacked: impl Read, file_size: usize) -> Result<Splats> {
+/// Versions 1 to 3: header, parameters, extensions. `left` is how many bytes of the file are not yet unpacked.
+fn one_stream<R: Read>(path: &Path, unpacked: &mut R, file_size: usize, left: &dyn Fn(&R) -> usize) -> Result<Splats> {
     let broken = |e: std::io::Error| Error::malformed(path, "gzip stream", "a whole stream", e.to_string());
     let mut start = Vec::new();
-    (&mut unpacked).take(HEADER as u64).read_to_end(&mut start).map_err(broken)?;
+    unpacked.by_ref().take(HEADER as u64).read_to_end(&mut start).map_err(broken)?;
     let header = Header::parse(path, &start, file_size)?;
     if header.version > 3 {
         return Err(Error::malformed(path, "header, version", "1 to 3 in one stream", header.version.to_string()));
     }
-    let mut body = Vec::new();
-    let most = header.size() as u64;
-    (&mut unpacked).take(most).read_to_end(&mut body).map_err(broken)?;
+    let (mut body, most) = (Vec::new(), header.size());
+    unpacked.by_ref().take(most as u64).read_to_end(&mut body).map_err(broken)?;
     let mut rest = Vec::new();
-    unpacked.take(turn::MOST_EXTENSIONS + 1).read_to_end(&mut rest).map_err(broken)?;
+    unpacked.by_ref().take(turn::MOST_EXTENSIONS + 1).read_to_end(&mut rest).map_err(broken)?;
     let has_extensions = header.flags & EXTENSIONS != 0;
     if body.len() < header.size() || (!rest.is_empty() && !has_extensions) {
         let expected = format!("{most} bytes after the header");
@@ -150,6 +153,10 @@ fn one_stream(path: &Path, mut unpacked: impl Read, file_size: usize) -> Result<
         return Err(Error::malformed(path, "length", expected, found));
     }
     let stored = if has_extensions { turn::stored_axes(path, &rest)? } else { STORED };
+    if left(unpacked) > 0 {
+        let found = format!("{} bytes", left(unpacked));
+        return Err(Error::malformed(path, "length", "nothing after the gzip stream", found));
+    }
     splats(path, &header, &body, stored)
 }
 
@@ -169,6 +176,11 @@ fn streams(path: &Path, bytes: &[u8], header: &Header) -> Result<Splats> {
         let expected = format!("{HEADER_4} to {}", bytes.len().saturating_sub(16 * sizes.len()));
         return wrong("header, offset of the table of streams".into(), expected, table.to_string());
     };
+    let has_extensions = header.flags & EXTENSIONS != 0;
+    if table > HEADER_4 && !has_extensions {
+        let found = format!("{} bytes", table - HEADER_4);
+        return wrong("header, flags".into(), "extensions, before the table of streams".into(), found);
+    }
     let mut rest = &bytes[table + entries.len()..];
     let mut body = Vec::new();
     for (i, (entry, size)) in entries.chunks_exact(16).zip(sizes).enumerate() {
@@ -195,7 +207,6 @@ fn streams(path: &Path, bytes: &[u8], header: &Header) -> Result<Splats> {
     if !rest.is_empty() {
         return wrong("length".into(), "nothing after the last stream".into(), format!("{} bytes", rest.len()));
     }
-    let has_extensions = header.flags & EXTENSIONS != 0;
     let stored = if has_extensions { turn::stored_axes(path, &bytes[HEADER_4..table])? } else { STORED };
     splats(path, header, &body, stored)
 }
@@ -203,9 +214,20 @@ fn streams(path: &Path, bytes: &[u8], header: &Header) -> Result<Splats> {
 /// Appends the content of a zstd stream, at most one byte more than `size`.
 fn unzstd(stream: &[u8], size: usize, out: &mut Vec<u8>) -> std::result::Result<(), String> {
     let decoder = StreamingDecoder::new_with_max_window_size(stream, WINDOW.max(size as u64));
-    let decoder = decoder.map_err(|e| e.to_string())?;
-    decoder.take(size as u64 + 1).read_to_end(out).map_err(|e| e.to_string())?;
-    Ok(())
+    let mut decoder = decoder.map_err(|e| e.to_string())?;
+    let start = out.len();
+    (&mut decoder).take(size as u64 + 1).read_to_end(out).map_err(|e| e.to_string())?;
+    if out.len() - start > size {
+        return Ok(());
+    }
+    if !decoder.get_ref().is_empty() {
+        return Err(format!("{} bytes behind it", decoder.get_ref().len()));
+    }
+    let found = xxh64(&out[start..]) as u32;
+    match decoder.decoder.get_checksum_from_data() {
+        Some(stated) if stated != found => Err(format!("checksum {found:#010x} in place of {stated:#010x}")),
+        _ => Ok(()),
+    }
 }
 
 /// The splats of unpacked parameters that are stored in these axes.
@@ -246,7 +268,7 @@ fn splats(path: &Path, header: &Header, body: &[u8], stored: u32) -> Result<Spla
         degree: header.degree,
         mode: if header.flags & ANTIALIASED == 0 { RenderMode::Classic } else { RenderMode::Mip },
     };
-    raw.finish(path, None)
+    raw.finish(path, None, Vec::new())
 }
 
 #[cfg(test)]

@@ -21,9 +21,9 @@ mod tests;
 mod tiles;
 
 pub use composite::{Hit, Hits};
+pub use extent::{SeenSpace, seen_domain, share_too_near};
 #[cfg(feature = "train")]
 pub use extent::{boxed, middle};
-pub use extent::{seen_domain, share_too_near};
 pub(super) use harmonics::color;
 #[cfg(feature = "cli")]
 pub use project::FAINTEST;
@@ -118,18 +118,14 @@ impl<'a> SplatRenderer<'a> {
         let projector = Projector::new(self.splats, camera);
         let footprints: Vec<Footprint> =
             (0..self.splats.len()).into_par_iter().with_min_len(1024).filter_map(|i| projector.footprint(i)).collect();
+        // In the order in which they are listed and composited: memory is then read from beginning to end.
+        let order = front_to_back(&footprints);
+        let footprints: Vec<Footprint> = order.par_iter().map(|&i| footprints[i as usize]).collect();
         let slopes: Vec<Slope> = match to {
             Use::Colors => Vec::new(),
             Use::Derivatives => {
                 footprints.par_iter().with_min_len(1024).map(|footprint| projector.slope(footprint)).collect()
             }
-        };
-        // In the order in which they are listed and composited: memory is then read from beginning to end.
-        let order = front_to_back(&footprints);
-        let footprints: Vec<Footprint> = order.par_iter().map(|&i| footprints[i as usize]).collect();
-        let slopes = match to {
-            Use::Colors => Vec::new(),
-            Use::Derivatives => order.par_iter().map(|&i| slopes[i as usize]).collect(),
         };
         let tiles = Tiles::new(&footprints, camera.resolution);
         SplatView { renderer: *self, camera: *camera, rotation: projector.rotation, footprints, slopes, tiles }

@@ -2,19 +2,17 @@
 //!
 //! Letters: `t` centre in camera axes (x right, y down, z forward), m = (fx x/z + cx, fy y/z + cy) its image in pixels;
 //! W covariance in camera axes; J Jacobian of m by t, with x/z and y/z limited to 1.3 half angles, so that splats
-//! beside the image do not fill it; Σ₂ = J W Jᵀ + 0.3 I; A = Σ₂⁻¹ the conic (Zwicker et al. 2001, "EWA Volume
-//! Splatting"; Kerbl et al. 2023). Everything is f64: an image of a million splats still takes less time to project
-//! than to composite.
+//! beside the image do not fill it; Σ₂ = J W Jᵀ + δ I with the mode's dilation δ; A = Σ₂⁻¹ the conic (Zwicker et al.
+//! 2001, "EWA Volume Splatting"; Kerbl et al. 2023). Everything is f64: an image of a million splats still takes less
+//! time to project than to composite.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 
 use super::harmonics;
 use crate::geometry::Camera;
-use crate::splats::{RenderMode, Splats};
+use crate::splats::Splats;
 
-/// Variance by which every splat grows on the image, pixels²: about what one pixel's width blurs.
-const DILATION: f64 = 0.3;
 /// Splats nearer than this are not drawn, scene units along the view axis: as in the original code.
 pub const NEAR: f64 = 0.2;
 /// Half angles to which the Jacobian's x/z and y/z are limited.
@@ -91,8 +89,8 @@ fn inverse([a, b, c]: [f64; 3]) -> ([f64; 3], f64) {
     ([c / determinant, -b / determinant, a / determinant], determinant)
 }
 
-fn dilated([a, b, c]: [f64; 3]) -> [f64; 3] {
-    [a + DILATION, b, c + DILATION]
+fn dilated([a, b, c]: [f64; 3], by: f64) -> [f64; 3] {
+    [a + by, b, c + by]
 }
 
 impl<'a> Projector<'a> {
@@ -155,11 +153,11 @@ impl<'a> Projector<'a> {
     pub fn footprint(&self, i: usize) -> Option<Footprint> {
         let shape = self.shape(i)?;
         let mean = self.focal * DVec2::new(shape.t.x, shape.t.y) / shape.t.z + self.center;
-        let covariance = dilated(shape.raw);
+        let covariance = dilated(shape.raw, self.splats.mode().dilation());
         let (conic, determinant) = inverse(covariance);
         let logit = f64::from(self.splats.opacity_logits()[i]);
         let mut opacity = 1.0 / (1.0 + (-logit).exp());
-        if self.splats.mode() == RenderMode::Mip {
+        if self.splats.mode().is_compensated() {
             opacity *= (inverse(shape.raw).1.max(0.0) / determinant).sqrt();
         }
         // exp(−q/2) o ≥ 1/255 is an ellipse in q.
@@ -209,13 +207,12 @@ impl<'a> Projector<'a> {
             [row(&|p| -fx / (z * z) * p.x + bend(0, fx) * p.z), row(&|p| -fy / (z * z) * p.y + bend(1, fy) * p.z)],
         ];
         let entry = |of: &dyn Fn(&[[f64; 2]; 2]) -> f64| DVec3::from(std::array::from_fn(|k| of(&by_axis[k])));
-        let constant = match self.splats.mode() {
-            RenderMode::Classic => DVec3::ZERO,
-            RenderMode::Mip => {
-                let (inner, outer) = (inverse(raw).0, footprint.conic);
-                let m: [f64; 3] = std::array::from_fn(|k| inner[k] - outer[k]);
-                entry(&|b| m[0] * b[0][0] + m[1] * (b[0][1] + b[1][0]) + m[2] * b[1][1])
-            }
+        let constant = if self.splats.mode().is_compensated() {
+            let (inner, outer) = (inverse(raw).0, footprint.conic);
+            let m: [f64; 3] = std::array::from_fn(|k| inner[k] - outer[k]);
+            entry(&|b| m[0] * b[0][0] + m[1] * (b[0][1] + b[1][0]) + m[2] * b[1][1])
+        } else {
+            DVec3::ZERO
         };
         let of_alpha = [
             -DVec3::new(fx / z, 0.0, -fx * t.x / (z * z)),

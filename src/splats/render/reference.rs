@@ -109,10 +109,11 @@ pub fn shown(splats: &[Gaussian], mode: RenderMode, camera: &Camera, background:
         let sigma = multiply(&scaled, &transposed(&scaled));
         let to_image = multiply(&j, &axes);
         let raw = multiply(&multiply(&to_image, &sigma), &transposed(&to_image));
-        let (a, b, c) = (raw[0][0] + 0.3, raw[0][1], raw[1][1] + 0.3);
+        let dilation = if mode == RenderMode::MipSplatting { 0.1 } else { 0.3 };
+        let (a, b, c) = (raw[0][0] + dilation, raw[0][1], raw[1][1] + dilation);
         let determinant = a * c - b * b;
         let mut opacity = splat.opacity;
-        if mode == RenderMode::Mip {
+        if mode != RenderMode::Classic {
             opacity *= ((raw[0][0] * raw[1][1] - b * b).max(0.0) / determinant).sqrt();
         }
         let d = [m[0] - p[0], m[1] - p[1]];

@@ -66,7 +66,7 @@ fn splats_in_front_of_the_nearest_plane_are_counted() {
 
 #[test]
 fn images_are_those_of_the_reference() {
-    for mode in [RenderMode::Classic, RenderMode::Mip] {
+    for mode in RenderMode::ALL {
         let splats = cloud(600, 3, mode);
         let (camera, slow) = (near(), gaussians(&splats));
         let renderer = SplatRenderer::new(&splats, BACKGROUND);
@@ -150,7 +150,7 @@ pub fn compare_derivatives(splats: &Splats, camera: &Camera, stride: usize) -> [
 
 #[test]
 fn derivatives_are_those_of_the_reference() {
-    for mode in [RenderMode::Classic, RenderMode::Mip] {
+    for mode in RenderMode::ALL {
         let [color, depth] = compare_derivatives(&cloud(150, 3, mode), &near(), 53);
         println!("{mode}: colour {color:?}, depth {depth:?}");
         assert!(color.entries > 1000 && depth.entries > 300, "{color:?}");

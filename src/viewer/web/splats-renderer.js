@@ -110,6 +110,7 @@ class SplatsRenderer extends Renderer {
     gl.uniform4f(place('limits'), ...limits.flat());
     gl.uniform2f(place('canvas'), width, height);
     gl.uniform1i(place('isMip'), model.about.isMip ? 1 : 0);
+    gl.uniform1f(place('dilation'), model.about.dilation);
     gl.uniform1f(place('unit'), model.unit);
     gl.uniform1i(place('splats'), SPLATS);
     gl.uniform1i(place('order'), ORDER);

@@ -2,8 +2,6 @@
 
 /** Splats nearer than this are not drawn, scene units along the view axis. */
 const NEAR_PLANE = 0.2;
-/** Variance by which every splat grows, square pixels of the camera's image, in which splats were trained. */
-const DILATION = 0.3;
 /** Half angles of the picture to which x/z and y/z of a splat's shape are limited. */
 const BEYOND = 1.3;
 /** Least and largest opacity that is drawn; light of which less is left shows nothing more. */
@@ -87,10 +85,11 @@ class Splats {
     const raw00 = u0 * cu0 + u1 * cu1 + u2 * cu2;
     const raw01 = v0 * cu0 + v1 * cu1 + v2 * cu2;
     const raw11 = v0 * cv0 + v1 * cv1 + v2 * cv2;
-    const [a, d] = [raw00 + DILATION, raw11 + DILATION];
+    const { isMip, dilation } = this.about;
+    const [a, d] = [raw00 + dilation, raw11 + dilation];
     const determinant = a * d - raw01 * raw01;
     const inner = Math.max(raw00 * raw11 - raw01 * raw01, 0);
-    const opacity = this.opacities[i] * (this.about.isMip ? Math.sqrt(inner / determinant) : 1);
+    const opacity = this.opacities[i] * (isMip ? Math.sqrt(inner / determinant) : 1);
     const reach = 2 * Math.log(opacity / FAINTEST);
     if (!(reach >= 0 && determinant > 0)) return false;
     [out.opacity, out.depth] = [opacity, z];

@@ -15,6 +15,7 @@ uniform vec3 placing;         // canvas pixel = xy + z * image pixel, y downward
 uniform vec4 limits;          // least and largest x/z and y/z of a splat's shape
 uniform vec2 canvas;          // pixels
 uniform bool isMip;
+uniform float dilation;       // variance by which every splat grows, square pixels of the camera's image
 uniform float unit;           // of depth, scene units
 
 flat out vec2 center;         // pixels of the camera's image
@@ -22,7 +23,6 @@ flat out vec3 conic;
 flat out vec4 light;          // colour and opacity
 flat out vec3 known;          // log10 U in parts of its range, depth along the view axis, never seen
 
-const float DILATION = 0.3;
 const float FAINTEST = 1.0 / 255.0;
 
 void main() {
@@ -41,7 +41,7 @@ void main() {
     mat3 covariance = mat3(upper.xyz, vec3(upper.y, upper.w, lower.x), vec3(upper.z, lower.xy));
     vec3 wide = covariance * u, high = covariance * v;
     vec3 raw = vec3(dot(u, wide), dot(u, high), dot(v, high));
-    vec3 grown = raw + vec3(DILATION, 0.0, DILATION);
+    vec3 grown = raw + vec3(dilation, 0.0, dilation);
     float determinant = grown.x * grown.z - grown.y * grown.y;
     float opacity = place.w;
     if (isMip) opacity *= sqrt(max(raw.x * raw.z - raw.y * raw.y, 0.0) / determinant);
@@ -58,7 +58,7 @@ void main() {
     float middle = 0.5 * (grown.x + grown.z), apart = length(vec2(0.5 * (grown.x - grown.z), grown.y));
     vec2 slope = vec2(grown.y, middle + apart - grown.x);
     vec2 along = abs(grown.y) > 1e-6 * middle ? normalize(slope) : vec2(grown.x >= grown.z, grown.x < grown.z);
-    vec2 lengths = sqrt(reach * vec2(middle + apart, max(middle - apart, DILATION)));
+    vec2 lengths = sqrt(reach * vec2(middle + apart, max(middle - apart, dilation)));
     vec2 corner = lengths * (vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0);
     vec2 at = placing.xy + placing.z * (center + corner.x * along + corner.y * vec2(-along.y, along.x));
     gl_Position = vec4(2.0 * at.x / canvas.x - 1.0, 1.0 - 2.0 * at.y / canvas.y, 0.0, 1.0);

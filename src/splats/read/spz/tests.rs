@@ -102,6 +102,18 @@ fn all_versions_hold_the_same_splats() {
     }
 }
 
+/// Signs of the harmonics from right, up, back to right, down, forward: those that are odd in y and z together.
+#[test]
+fn every_harmonic_is_turned() {
+    let signs = [1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1];
+    let splats = read_bytes(&version_4(3, 0, &[])).unwrap();
+    for i in 0..45 {
+        // Stored are 0, 1, 2, … of 128, which begin anew after 64.
+        let expected = signs[1 + i / 3] as f32 * ((45 + i) % 64) as f32 / 128.0;
+        assert_eq!(splats.sh(1)[3 + i], expected, "coefficient {i}");
+    }
+}
+
 #[test]
 fn flags_state_mode_and_axes() {
     assert_eq!(read_bytes(&plain(2, 0, ANTIALIASED)).unwrap().mode(), RenderMode::Mip);
@@ -163,6 +175,56 @@ fn streams_of_another_length_are_refused() {
     let fourth = version_4(1, 0, &[]);
     assert!(refused(&fourth[..fourth.len() - 1]).contains("stream 5, size: expected at most the 26 bytes left"));
     assert!(refused(&[&fourth[..], &[0]].concat()).contains("nothing after the last stream, found 1 bytes"));
+    let error = refused(&[&packed[..], &[0; 7]].concat());
+    assert!(error.contains("length: expected nothing after the gzip stream, found 7 bytes"), "{error}");
+    let error = refused(&version_4(0, 0, &[0; 4]));
+    assert!(
+        error.contains("header, flags: expected extensions, before the table of streams, found 4 bytes"),
+        "{error}"
+    );
+}
+
+/// The first stream of a file with something behind its zstd frame.
+fn with_first_stream(change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
+    let mut stream = zstd(&parts(4, 0)[0]);
+    let mut bytes = version_4(0, 0, &[]);
+    let start = 32 + 16 * 5;
+    bytes.drain(start..start + stream.len());
+    change(&mut stream);
+    bytes[32..40].copy_from_slice(&(stream.len() as u64).to_le_bytes());
+    bytes.splice(start..start, stream);
+    bytes
+}
+
+#[test]
+fn streams_are_checked_to_their_last_byte() {
+    let error = refused(&with_first_stream(|stream| stream.push(7)));
+    assert!(error.contains("stream 0: expected a zstd stream of 18 bytes, found 1 bytes behind it"), "{error}");
+    let checksum = xxh64(&parts(4, 0)[0]) as u32;
+    let with = |checksum: u32| {
+        with_first_stream(|stream| {
+            // The flag of a checksum.
+            stream[4] |= 4;
+            stream.extend(checksum.to_le_bytes());
+        })
+    };
+    assert_eq!(read_bytes(&with(checksum)).unwrap(), read_bytes(&version_4(0, 0, &[])).unwrap());
+    let error = refused(&with(checksum ^ 1));
+    assert!(error.contains("found checksum 0x") && error.contains(" in place of 0x"), "{error}");
+}
+
+/// A stream of zeros unpacks to a thousand times its size, and splats take up to eight times as much as unpacked.
+#[test]
+fn small_files_hold_few_splats() {
+    let count = 500_000_u32;
+    let mut bytes = header(2, 0, 0);
+    bytes[8..12].copy_from_slice(&count.to_le_bytes());
+    bytes.resize(16 + 19 * count as usize, 0);
+    let packed = gzip(&bytes);
+    let error = refused(&packed);
+    assert!(packed.len() < 50_000 && error.contains("splats of at most 4194304 bytes in a file of"), "{error}");
+    let error = refused(&[&packed[..], &vec![0; 500_000]].concat());
+    assert!(error.contains("length: expected nothing after the gzip stream, found 500000 bytes"), "{error}");
 }
 
 /// A header can state any number of splats, and a kilobyte of zstd can unpack to 32 MB.

@@ -67,7 +67,7 @@ fn images_are_those_of_gsplat_data() {
 #[test]
 #[ignore = "needs OCTOBAYES_DATA, the folder of data"]
 fn derivatives_on_gsplat_data() {
-    for mode in [RenderMode::Classic, RenderMode::Mip] {
+    for mode in RenderMode::ALL {
         let splats = case("brush_basic_case.safetensors").0.with_mode(mode);
         let [color, depth] = compare_derivatives(&splats, &camera(), 37);
         println!("{mode}: colour {color:?}, depth {depth:?}");
