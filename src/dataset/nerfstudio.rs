@@ -33,12 +33,15 @@ pub(super) fn is_frame_of_run(path: &Path) -> bool {
     path.file_name().and_then(OsStr::to_str).is_some_and(|name| name.ends_with(FRAME_OF_RUN))
 }
 
-/// The file with a run's similarity beside the cameras of `path`, if `path` is not that file itself.
+/// The file with a run's similarity beside the cameras of `path`, if it applies to these.
 #[must_use]
 pub fn frame_beside(path: &Path) -> Option<PathBuf> {
     let beside = if path.is_dir() { path.join(FRAME_OF_RUN) } else { path.with_file_name(FRAME_OF_RUN) };
     // Cameras that are no file's have no path.
-    (path.exists() && !is_frame_of_run(path) && beside.is_file()).then_some(beside)
+    let is_there = path.exists() && !is_frame_of_run(path) && beside.is_file();
+    // Other files, such as exported poses, may be in that frame already.
+    let is_of_data_set = || !is_json(path) || data_set(&beside).as_deref() == Some(path);
+    (is_there && is_of_data_set()).then_some(beside)
 }
 
 /// The camera file of the data set that a run's similarity applies to: in the same folder, or where the run's

@@ -185,7 +185,7 @@ fn candidates_with_the_axes_of_opencv_are_told() {
     let rank = |name: &str| format!("next-view scene.ply scene.oct --candidates {name} -o r.json");
     write("away.json", 1.0);
     let expected = [
-        "error: candidates: expected views that tell something; ",
+        "error: --candidates: expected views that tell something; ",
         "OpenCV's camera axes instead of OpenGL's: turned, ",
         "found 4 of 4 candidates: gain 0, looks past the box (r_0, r_1, r_2, …)",
     ];
