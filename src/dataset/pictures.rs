@@ -89,7 +89,7 @@ impl MaskFile {
         let (own, _) = measure(self.path(), "mask")?;
         let [[w, h], [own_w, own_h]] = [size, own].map(|size| size.map(f64::from));
         // The same view at another size has sides that were rounded.
-        let is_like = (own_h - h * own_w / w).abs() <= 1.0 || (own_w - w * own_h / h).abs() <= 1.0;
+        let is_like = (own_h - h * own_w / w).abs() < 1.0 || (own_w - w * own_h / h).abs() < 1.0;
         let image = decode(self.path(), "mask", if is_like { own } else { size })?;
         let mut is_black = Vec::with_capacity(own[0] as usize * own[1] as usize);
         let (mut first, mut is_of_one_color) = (None, true);

@@ -146,11 +146,8 @@ fn next_marker(bytes: &[u8], at: &mut usize) -> Option<u8> {
 /// Where the scan that begins at `at` ends, and how many restart markers it has.
 fn scan(bytes: &[u8], mut at: usize) -> Option<(usize, usize)> {
     let mut restarts = 0;
-    loop {
-        match next_marker(bytes, &mut at)? {
-            0xD0..=0xD7 => restarts += 1,
-            _ => break,
-        }
+    while let 0xD0..=0xD7 = next_marker(bytes, &mut at)? {
+        restarts += 1;
     }
     let mut end = at - 2;
     // A marker may follow any number of filling bytes.
