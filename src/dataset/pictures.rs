@@ -119,8 +119,8 @@ impl MaskFile {
         path.is_file().then_some(Self::LeftOut(path))
     }
 
-    /// Reads the mask of a picture of `size` pixels. In a smaller one the pixels at the same places
-    /// count; of a larger one all that a pixel covers.
+    /// Reads the mask of a picture of `size` pixels. In a smaller one the pixels at the same places count; of a larger
+    /// one all that a pixel covers.
     fn read(&self, size: [u32; 2]) -> Result<Mask> {
         let (own, _) = measure(self.path(), "mask")?;
         let image = decode(self.path(), "mask", if is_resized_map(own, size) { own } else { size })?;
