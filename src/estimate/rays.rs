@@ -195,10 +195,12 @@ impl RaySettings {
     /// pixels are drawn at random, a lens distorts, or the pixel offset is no share.
     pub fn splat_stream<'a>(&self, splats: &'a Splats, cameras: &'a [Camera]) -> Result<RayStream<'a>> {
         let defaults = Self::default();
+        // `auto` asks for own derivatives, and splats have no others.
+        let is_open = self.gradient == defaults.gradient || self.gradient == GradientMethod::Auto;
         let of_volumes = [
             ("march step", self.march_step.map(|step| format!("{step:e}"))),
             ("finite-difference step", self.step.map(|step| format!("{step:e}"))),
-            ("gradient", (self.gradient != defaults.gradient).then(|| format!("{:?}", self.gradient))),
+            ("gradient", (!is_open).then(|| format!("{:?}", self.gradient))),
             ("cutoff", (self.cutoff != defaults.cutoff).then(|| format!("{:e}", self.cutoff))),
             ("occupancy", (self.occupancy != defaults.occupancy).then(|| self.occupancy.to_string())),
             ("pixels", (self.pixels == Pixels::Random).then(|| format!("{:?}", self.pixels))),
