@@ -92,6 +92,7 @@ fn every_faulty_file_has_its_row() {
         "o_1.png",
         "foreign_0.png",
         "foreign_1.png",
+        "large.png",
     ];
     for path in desk.files() {
         let name = path.file_name().unwrap().to_str().unwrap();
