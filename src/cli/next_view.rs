@@ -8,9 +8,7 @@ use serde_json::{Value, json};
 
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{
-    CameraOptions, FrameOptions, ModelArgument, count, heading, of_folder, parse_direction,
-};
+use super::options::{CameraOptions, FrameOptions, ModelArgument, count, heading, of_folder, parse_direction};
 use super::progress::Bars;
 use super::streams::tell;
 use crate::dataset::{Part, Views, write_transforms};

@@ -54,12 +54,15 @@ impl Similarity {
     }
 }
 
+/// A frame in which a model may lie, with its name and where points of the cameras' own frame are in it.
+pub type NamedFrame = (&'static str, Similarity);
+
 /// Points of COLMAP, and frames in which a model may lie that was trained on the cameras of `path`, each with its name
 /// and where the points are in it. The first is the cameras' own. None if there are too few points.
 ///
 /// # Errors
 /// If cameras or points cannot be read.
-pub fn frames_of_training(path: &Path) -> Result<(Vec<(&'static str, Similarity)>, Vec<DVec3>)> {
+pub fn frames_of_training(path: &Path) -> Result<(Vec<NamedFrame>, Vec<DVec3>)> {
     let is_json = nerfstudio::is_json(path);
     let place = if is_json { path.parent().unwrap_or(Path::new("")) } else { path };
     let place = if place.as_os_str().is_empty() { Path::new(".") } else { place };

@@ -132,7 +132,7 @@ impl<'a> Evaluation<'a> {
         let training = training_cameras(self.model, &self.name, wanted, &self.cameras, &views);
         let length = bounds_of(self.model).longest_edge();
         let is_known = |frame: &Frame| training.iter().any(|known| known.camera.is_like(&frame.camera, length));
-        let split = FrameSplit::new(views).by_model(&is_known);
+        let split = FrameSplit::new(views).by_model(is_known);
         let frames = split.select(Part::HeldOut, &self.selection, |_| true)?;
         let mut remarks = Vec::new();
         if let Subject::Splats(_) = self.model {

@@ -306,7 +306,7 @@ mod tests {
             let rays = if point.iter().all(|i| (6..15).contains(i)) { rays.min(1) } else { rays };
             let sums = sums([s, 0.3 * s + 0.1, 2.0 * s * s], rays);
             // Every other vertex is turned, so that its directions are not those of its neighbours.
-            let turned = sums.information.map(|entry| entry.abs());
+            let turned = sums.information.map(f64::abs);
             match (rays == 0 || is_gap, point[0].is_multiple_of(2)) {
                 (true, _) => VertexSums::default(),
                 (false, true) => VertexSums::new(turned, rays),

@@ -114,12 +114,15 @@ fn numbers_that_no_run_has_are_refused_by_name() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// Gives a record a number.
+type Set = fn(&mut RunRecord, f64);
+
 /// JSON has no NaN and no infinity, but `1e999` and `null` in their place.
 #[test]
 fn a_header_has_no_infinite_number() {
     let record = whole().record;
     for number in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-        let with: [(&str, fn(&mut RunRecord, f64)); 7] = [
+        let with: [(&str, Set); 7] = [
             ("lambda", |r, v| (r.scale, r.lambda) = (Scale::Paper, v)),
             ("tolerance", |r, v| r.tolerance = v),
             ("march_step", |r, v| r.march_step = Some(v)),

@@ -159,11 +159,11 @@ fn properties_that_change_pictures_are_applied_or_refused() {
     let filtered = with("float filter_3D").unwrap();
     assert_eq!((filtered.mode(), filtered.extra_names()), (RenderMode::MipSplatting, vec!["label", "time"]));
     let f = [0, 1].map(|row| (100 * row + all.len()) as f64 / 8.0);
-    for i in 0..2 {
+    for (i, f) in f.into_iter().enumerate() {
         let squared = |splats: &Splats| splats.log_scales()[i].as_dvec3().to_array().map(|s| (2.0 * s).exp());
         let (before, after) = (squared(&plain), squared(&filtered));
         for axis in 0..3 {
-            assert!((after[axis] / (before[axis] + f[i] * f[i]) - 1.0).abs() < 1e-5, "{before:?} {after:?}");
+            assert!((after[axis] / (before[axis] + f * f) - 1.0).abs() < 1e-5, "{before:?} {after:?}");
         }
         let ratio = (before.iter().product::<f64>() / after.iter().product::<f64>()).sqrt();
         let expected = f64::from(plain.opacity(i)) * ratio;
