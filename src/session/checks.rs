@@ -102,7 +102,8 @@ pub fn unseen(
     if most > MUCH_UNSEEN {
         tell(Remark::Warning(format!(
             "from one side, {:.0} % of the surface that shows was never seen by a training ray: splats are made up \
-             there, whatever their U. Pictures hatch them, `query` and `export` call them unseen, --threshold removes them",
+             there, whatever their U. Pictures hatch them, `query` and `export` call them unseen, --threshold removes \
+             them",
             100.0 * most
         )));
     }

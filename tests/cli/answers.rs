@@ -322,7 +322,7 @@ fn error_bars_are_told_wherever_a_field_is() {
         ("--error-bars --shard 0/2", "cannot be used with"),
         ("--error-bars --memory 1GiB", "cannot be used with"),
         ("--error-bars --dump-samples x.npz", "cannot be used with"),
-        ("--error-bars 1", "2..=64"),
+        ("--error-bars 1", "from 2 to 64"),
     ] {
         let output = desk.run(&format!("{run} -o x.oct {args}"));
         let message = String::from_utf8(output.stderr).unwrap();

@@ -81,7 +81,7 @@ fn images_of_another_scene_are_refused_unless_forced() {
     // Black where the courtyard shows a white background, and something else where it shows matter.
     let desk = desk(&ClosedForm::ball(), SIDE, |_, opacity| [0.05 * opacity, 0.0, 0.0, 1.0]);
     let (is_run, said) = told(desk.path(), "");
-    assert!(!is_run && said.contains("another scene") && said.contains("dB over 320 pixels of 5 images"), "{said}");
+    assert!(!is_run && said.contains("another scene") && said.contains("dB over 384 pixels of 6 images"), "{said}");
     assert!(!desk.path().join("x.oct").exists());
     let (is_run, said) = told(desk.path(), "--force");
     assert!(is_run && said.starts_with("warning: ") && said.contains("another scene"), "{said}");

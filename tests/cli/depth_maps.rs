@@ -240,8 +240,8 @@ fn maps_belong_to_frames_by_their_folders() {
 
     let front = evaluate("depth/front", &options);
     let calibrated = calibrate("depth/front", &options);
-    // Whether the other frame is judged, too, or not: without `--views all` the last frame alone is.
-    let last = front.replace("--views all ", "");
+    // Whether the other frame is judged, too, or not.
+    let last = front.replace("--views all", "--views 3");
     for (command, name) in [(front, "0.png"), (last, "1.PNG"), (calibrated, "0.png")] {
         let said = refused(desk, &command);
         let both = &format!("`images/front/{name}` and `images/back/{name}`");

@@ -407,7 +407,8 @@ impl Desk {
         let whole = std::fs::read(self.path("cut.jpg")).unwrap();
         std::fs::write(self.path("cut.jpg"), &whole[..whole.len() - 2]).unwrap();
         self.write("large.json", masked.replace("\"file_path\"", "\"mask_path\": \"large.png\", \"file_path\""));
-        image::GrayImage::from_pixel(1024, 1024, image::Luma([255])).save(self.path("large.png")).unwrap();
+        let white = image::ImageBuffer::from_pixel(512, 512, image::Rgb([u16::MAX; 3]));
+        white.save(self.path("large.png")).unwrap();
         let false_colours = image::RgbImage::from_pixel(16, 16, image::Rgb([51, 204, 102]));
         false_colours.save(self.path("r_0_false.png")).unwrap();
         for name in ["o_0", "o_1"] {

@@ -236,16 +236,20 @@ fn what_is_seen_is_certain_and_what_is_not_is_unknown() {
 fn splats_that_no_ray_reaches_were_never_seen_whatever_their_uncertainty() {
     let (splats, cameras) = (shell(), cameras());
     let field = run(&splats, &cameras, 20_000);
-    let towards = cameras.iter().map(|camera| camera.position).sum::<DVec3>().normalize().as_vec3();
-    let of = |keep: &dyn Fn(f32) -> bool| -> Vec<(f64, Observability)> {
-        let means = splats.means().iter().skip(1).filter(|x| keep(x.dot(towards)));
+    // A point of the sphere faces a camera at c if x · c > r², by a margin if x · c is far above that.
+    let facing = |x: &Vec3| {
+        let dots = cameras.iter().map(|camera| x.as_dvec3().dot(camera.position) / 0.64);
+        dots.fold(f64::NEG_INFINITY, f64::max)
+    };
+    let of = |keep: &dyn Fn(f64) -> bool| -> Vec<(f64, Observability)> {
+        let means = splats.means().iter().skip(1).filter(|x| keep(facing(x)));
         let answer = |x: &Vec3| {
             let u = field.query(*x).uncertainty;
             (u / field.prior(), field.observability(*x, u).unwrap())
         };
         means.map(answer).collect()
     };
-    let (front, back) = (of(&|along| along > 0.4), of(&|along| along < -0.4));
+    let (front, back) = (of(&|facing| facing > 1.5), of(&|facing| facing < 0.0));
     let unseen = |all: &[(f64, Observability)]| all.iter().filter(|(_, seen)| *seen == Observability::Unseen).count();
     assert_eq!(unseen(&front), 0, "of {}", front.len());
     assert!(unseen(&back) as f64 > 0.9 * back.len() as f64, "{} of {}", unseen(&back), back.len());

@@ -55,7 +55,8 @@ pub fn merge(parts: &[impl Part]) -> Result<UncertaintyField> {
 /// tiles need of each other, and the octree of the whole are ever in memory. Every file is read three times.
 ///
 /// # Errors
-/// As [`merge`], if the files are not of tiles, if the folder has fields other than finished tiles of these rays, or if a file cannot be written.
+/// As [`merge`], if the files are not of tiles, if the folder has fields other than finished tiles of these rays, or if
+/// a file cannot be written.
 pub fn finish_tiles(parts: &[PathBuf], folder: &Path) -> Result<()> {
     let heads = heads(parts)?;
     let groups = groups(&heads)?;

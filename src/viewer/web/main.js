@@ -166,7 +166,8 @@ class Viewer {
   few(shown, side) {
     const [w, h] = this.camera.resolution;
     const few = Math.min(1, side / Math.max(w, h));
-    return this.renderer.measure(this.camera, shown, Math.max(1, Math.round(w * few)), Math.max(1, Math.round(h * few)));
+    const [width, height] = [w, h].map((sides) => Math.max(1, Math.round(sides * few)));
+    return this.renderer.measure(this.camera, shown, width, height);
   }
 
   /** Which part of the surface in view stays where it is when the slider removes matter; null if none is in view. */

@@ -29,7 +29,8 @@ class Splats {
   /** Whether slider and switch leave splat i. */
   stays(i, shown) {
     const { prior } = this.about;
-    return this.unseen[i] ? !removesUnseen(shown, prior) : this.log10U[i] <= shown.threshold || shown.threshold >= prior;
+    if (this.unseen[i]) return !removesUnseen(shown, prior);
+    return this.log10U[i] <= shown.threshold || shown.threshold >= prior;
   }
 
   /** The splats that are left in front of a camera, from the farthest to the nearest along the view axis. */

@@ -82,7 +82,8 @@ class Volume {
     const first = knowsUnseen ? codes.last + 1 : codes.last;
     const sum = (of) => this.matterByCode.reduce((sum, weight, code) => sum + (of(code) ? weight : 0), 0);
     const [all, unseen] = [sum(() => true), sum((code) => code >= first)];
-    return { gone: sum((code) => code > Math.floor(last) && code < first) + (removesUnseen(shown, prior) ? unseen : 0), unseen, all };
+    const uncertain = sum((code) => code > Math.floor(last) && code < first);
+    return { gone: uncertain + (removesUnseen(shown, prior) ? unseen : 0), unseen, all };
   }
 
   /** What is stored at a scene point: log10 U, whether it was seen, and in words the rest; null without matter. */
