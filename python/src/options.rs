@@ -53,7 +53,7 @@ impl<'py> Options<'_, 'py> {
     }
 
     /// What the argument lists.
-    fn choices<T: DeserializeOwned>(&self, name: &str) -> PyResult<Option<Vec<T>>> {
+    fn list<T: DeserializeOwned>(&self, name: &str) -> PyResult<Option<Vec<T>>> {
         let found = self.get::<Vec<String>>(name)?;
         found.map(|found| found.iter().map(|found| choose(name, found)).collect()).transpose()
     }
@@ -85,7 +85,7 @@ impl<'py> Options<'_, 'py> {
     /// The settings of the grid, but for those that [`Options::choices`] decide on.
     pub fn grid(&self) -> PyResult<GridSettings> {
         let default = GridSettings::default();
-        let criteria = self.choices::<Criterion>("refine")?;
+        let criteria = self.list::<Criterion>("refine")?;
         Ok(default
             .grid(self.choice("grid")?.unwrap_or(default.grid))
             .lambda(self.get("lambda_")?)
@@ -123,12 +123,12 @@ impl<'py> Options<'_, 'py> {
 
     /// Several covariances.
     pub fn covariances(&self) -> PyResult<Option<Vec<Covariance>>> {
-        self.choices("covariance")
+        self.list("covariance")
     }
 
     /// Ray averages.
     pub fn ray_averages(&self) -> PyResult<Option<Vec<RayAverage>>> {
-        self.choices("ray_average")
+        self.list("ray_average")
     }
 
     /// The box, if there is one.

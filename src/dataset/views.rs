@@ -146,7 +146,8 @@ impl Views {
     }
 
     /// Where the image of the first frame is looked for.
-    pub(crate) fn places(&self) -> Vec<PathBuf> {
+    #[must_use]
+    pub fn places(&self) -> Vec<PathBuf> {
         let Frame { name, image, .. } = &self.frames[0];
         if let Ok(Some(model)) = ModelFiles::find(&self.path) {
             return model.places(&self.path, name);
