@@ -61,8 +61,8 @@ impl CommandFiles {
     }
 
     /// Checks that every output can be written, that it is a different file from all others, and that it neither joins
-    /// the tiles of a folder that is read nor seems to be the cameras of a data set. Removes what killed runs left of the
-    /// outputs.
+    /// the tiles of a folder that is read nor seems to be the cameras of a data set. Removes what killed runs left of
+    /// the outputs.
     pub fn check(&self) -> Result<()> {
         let folders: Vec<&(String, PathBuf)> = self.inputs.iter().filter(|(_, path)| path.is_dir()).collect();
         let mut tiles = Vec::new();
