@@ -352,7 +352,7 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
     domain = _domain_options(given.box, given.contract)
     if isinstance(nerf, Splats):
         _refuse_for_splats(
-            gradient=("" if given.gradient == "auto" else given.gradient, ""),
+            gradient=("" if given.gradient in ("auto", DEFAULT.gradient) else given.gradient, ""),
             step=(given.step, None),
             cutoff=(given.cutoff, DEFAULT.cutoff),
             audit=(given.audit, False),

@@ -86,7 +86,7 @@ def one(name: str, camera: Mapping[str, Any]) -> NDArray[np.float64]:
         fov = math.degrees(angle)
     of_view = None if fov is None else 0.5 * width / math.tan(0.5 * math.radians(fov))
     if "focal" in camera:
-        focal = np.atleast_1d(array(camera["focal"]))
+        focal = np.atleast_1d(array(f"{name}['focal']", camera["focal"]))
         focal = np.broadcast_to(floats(f"{name}['focal']", focal, (2 if len(focal) == 2 else 1,), np.float64), (2,))
     elif "fl_x" in camera:
         focal = np.array([real(f"{name}['fl_x']", camera["fl_x"], above=0)] * 2)

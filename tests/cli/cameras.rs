@@ -163,7 +163,7 @@ fn all_verbs_select_frames_by_one_rule() {
     let why = format!("of 20 frames of set/transforms.json: 2 have no image ({missing})");
     let frames = Views::read(&desk.path("set/transforms.json"), None).unwrap().frames;
     // By name they have places 9 and 18 of 20.
-    let those = format!("8 ({}), 17 ({}) (views `all` takes both)", frames[8].name, frames[17].name);
+    let those = format!("9 ({}), 18 ({}) (views `all` takes both)", frames[9].name, frames[18].name);
     let held = format!("2 are held out, a tenth, as nerfstudio does: {those}");
     let stderr = desk.good(&format!("train set/transforms.json -o m.safetensors --steps 40 {SMALL}"));
     assert!(stderr.contains(&format!("16 cameras {why}, {held}")), "{stderr}");
