@@ -98,7 +98,7 @@ def whole(name: str, value: Any, low: int, high: int = MOST) -> int:
     # 4e5 is a float for NumPy and for people, but a number of rays all the same.
     if not _is_finite(value) or value != int(value) or not low <= value <= high:
         is_too_large = isinstance(value, numbers.Real) and value > high
-        upto = f"to {high}" if high < MOST or is_too_large else "or more"
+        upto = f"to {high}" if high != MOST or is_too_large else "or more"
         raise wrong(name, f"a whole number, {low} {upto}", value)
     return int(value)
 

@@ -123,7 +123,7 @@ def test_images_that_are_not_there_get_a_sentence(courtyard, cameras, images):
     [
         ({"scale": "metric"}, "scale: expected 'paper' or 'data'"),
         ({"noise": 0.1}, "noise: expected scale='data' beside it"),
-        ({"scale": "data"}, "the noise that training left"),
+        ({"scale": "data"}, "the error that training left"),
         (
             {"scale": "data", "noise": 0.0316, "lambda_": 1e-9},
             "lambda_: expected none: the scale of the training pixels has",

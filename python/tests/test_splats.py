@@ -186,7 +186,7 @@ def test_splats_are_judged_and_calibrated(splats, field, held_out, path):
 
 def test_what_splats_do_not_have_is_refused(splats, field, path, held_out, courtyard):
     for name, value in {
-        "gradient": "auto",
+        "gradient": "forward-difference",
         "step": 0.1,
         "cutoff": 1e-3,
         "audit": True,

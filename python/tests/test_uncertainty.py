@@ -278,7 +278,7 @@ def beside(folder, cameras, pictures):
         matrix = np.asarray(camera["pose"]).tolist()
         intrinsics = {"fl_x": fl_x, "fl_y": fl_y, "cx": cx, "cy": cy, "w": int(w), "h": int(h)}
         frames.append({"file_path": f"r_{i}", "transform_matrix": matrix, **intrinsics})
-    path = folder / "transforms_test.json"
+    path = folder / "transforms.json"
     path.write_text(json.dumps({"frames": frames}))
     return str(path)
 
