@@ -151,7 +151,8 @@ fn open_volume(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
         _ => Err(Error::setting(
             format!("model `{model}`"),
             "`scene:NAME`, a `.safetensors` hash grid or MLP NeRF, an MLP NeRF's `.ckpt`, a `.ppng` Plenoptic PNG, an \
-             `.npz` voxel grid, or a `.ply`, `.compressed.ply`, `.spz` or `.splat` of splats",
+             `.npz` voxel grid, or a `.ply`, `.compressed.ply`, `.spz` or `.splat` of splats (`info` reads fields, \
+             `.oct`, too)",
             extension.map_or("none".into(), |found| format!("`.{found}`")),
         )),
     }

@@ -151,13 +151,7 @@ impl Args {
 
     fn model(&self) -> Result<()> {
         let refused = || Error::setting("FILE", UTF_8, self.file.display().to_string());
-        let opened = crate::open::open(self.file.to_str().ok_or_else(refused)?);
-        let field = opened.map_err(|error| match error {
-            Error::Setting { what, expected, found } if expected.starts_with("`scene:NAME`") => {
-                Error::Setting { what, expected: format!("a field (`.oct`), or a model: {expected}"), found }
-            }
-            other => other,
-        })?;
+        let field = crate::open::open(self.file.to_str().ok_or_else(refused)?)?;
         let bounds = field.bounds();
         let cameras = field.training_cameras();
         if self.json {
