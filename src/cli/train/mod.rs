@@ -297,7 +297,7 @@ impl Args {
         let measure = |field: &HashGrid, shots, pixels| match run.budget {
             Budget::Time(time) => quality_within(field, shots, background, pixels, measuring(time)),
             // In the fog of the first steps, a ray takes a hundred times as long.
-            _ => quality(field, shots, background, pixels.min(100 * trainer.steps().clamp(10, 1000) as usize)),
+            _ => quality(field, shots, background, pixels.min(100 * trainer.steps().max(10) as usize)),
         };
         self.announce(finished.elapsed, bars);
         // What the images leave open of the model's colours, by which `uncertainty --scale data` weighs them.
