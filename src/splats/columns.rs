@@ -88,7 +88,7 @@ pub(super) enum Effect {
 }
 
 const MOVING: &str = "splats that move in time";
-const ANCHORS: &str = "anchors of Scaffold-GS, of which a network makes the splats of each view";
+const ANCHORS: &str = "anchors of Scaffold-GS, from which a network makes the splats of each view";
 const SHADED: &str = "splats whose colours come from materials and light";
 const OTHER_COLORS: &str = "colours that are no spherical harmonics";
 const OTHER_SHAPES: &str = "splats of another shape than a Gaussian's";
@@ -115,7 +115,10 @@ const KNOWN: [(Effect, &[&str]); 8] = [
     (Effect::Changes(OTHER_COLORS), &["sg_*", "rgb_base_*", "sb_*", "asg_*", "f_dc_*"]),
     (Effect::Changes(OTHER_SHAPES), &["beta", "shape", "nu_degree", "scale_*", "rot_*"]),
     // Normals, colours beside the harmonics, labels, and columns of this crate and of editors.
-    (Effect::None, &["n?", "red", "green", "blue", "alpha", "uncertainty", "log10_uncertainty", "weight", "views"]),
+    (
+        Effect::None,
+        &["n?", "red", "green", "blue", "alpha", "uncertainty", "log10_uncertainty", "seen", "weight", "views"],
+    ),
     (
         Effect::None,
         &["*label*", "*semantic*", "*feature*", "ins_feat*", "sem_*", "obj_dc_*", "*id", "*index", "segment*", "state"],
@@ -335,6 +338,7 @@ mod tests {
     fn properties_of_other_programs_are_harmless_applied_or_refused() {
         for (name, expected) in [
             ("nx", Some(Effect::None)),
+            ("seen", Some(Effect::None)),
             ("language_feature_12", Some(Effect::None)),
             ("object_id", Some(Effect::None)),
             ("filter_3D", Some(Effect::Filter)),
