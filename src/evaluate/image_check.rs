@@ -3,7 +3,7 @@
 
 use glam::{DVec3, Vec3};
 
-use crate::dataset::{Frame, PosedImage, SampledImage, measure, read_masks};
+use crate::dataset::{Frame, PosedImage, SampledImage, has_shape, measure, read_masks};
 use crate::geometry::{Camera, inverted, opencv};
 use crate::metrics::psnr;
 use crate::monitor::{Monitor, check};
@@ -240,9 +240,7 @@ impl Shown {
     /// Sizes of camera and image, if one is not the other resized: their ratios differ by more than rounding explains.
     fn shapes(&self) -> Option<[[u32; 2]; 2]> {
         let sizes = [self.camera.resolution, self.size];
-        let [[w, h], [image_w, image_h]] = sizes.map(|size| size.map(f64::from));
-        let apart = (w * image_h / (h * image_w)).ln().abs();
-        (apart > 1.0 / w.min(h).min(image_w).min(image_h) + 0.005).then_some(sizes)
+        (!has_shape(sizes[0], sizes[1])).then_some(sizes)
     }
 }
 
