@@ -2,6 +2,7 @@
 
 mod colmap;
 mod depth;
+mod folders;
 mod frames;
 mod hemisphere;
 mod image;
@@ -21,7 +22,8 @@ mod transforms;
 mod views;
 mod world;
 
-pub use frames::{Selection, camera_file};
+pub use folders::camera_file;
+pub use frames::Selection;
 pub use pose::rigid_pose;
 pub use views::{Frame, Purpose, Views};
 
@@ -30,7 +32,8 @@ pub use views::{Frame, Purpose, Views};
 pub use self::{
     colmap::{ScenePoint, scene_points},
     depth::{DepthEncoding, DepthKind, DepthMap},
-    frames::{FrameSplit, Part, passed_over, taken_for, test_partner},
+    folders::{passed_over, taken_for, test_partner},
+    frames::{FrameSplit, Part},
     hemisphere::Hemisphere,
     image::{PosedImage, SampledImage, measure},
     inria::inria_text,
