@@ -159,8 +159,8 @@ fn principal_axes(points: &[DVec3]) -> DMat3 {
 mod tests {
     use super::*;
 
-    /// Cameras on an arc, and points, of which gsplat's own normalize.py (`align_principal_axes` after
-    /// `similarity_from_cameras`) makes this frame.
+    /// Cameras on an arc, points, and the frame that gsplat's own normalize.py makes of them (`align_principal_axes`
+    /// after `similarity_from_cameras`).
     #[test]
     fn one_of_four_frames_is_what_gsplat_computes() {
         let camera = |i: u32| {

@@ -53,7 +53,7 @@ pub struct Run<'a> {
     surface: Vec<[f32; 3]>,
 }
 
-/// Most rays that are traced in search of points on visible surfaces, most of which may miss all matter.
+/// Most rays that are traced in search of points on visible surfaces. In a sparse scene most rays miss all matter.
 const MOST_SURFACE_RAYS: u64 = 1 << 16;
 
 impl<'a> Estimation<'a> {

@@ -11,7 +11,7 @@ pub(crate) fn nearest(i: u32, from: u32, to: u32) -> u32 {
 
 /// The pixels of `from` along an axis that pixel `i` of `to` covers, each with its share, which are `from` together.
 pub(crate) fn covered(i: u32, from: u32, to: u32) -> impl Iterator<Item = (u32, u64)> {
-    // In units of which a pixel of `from` has `to`, and one of `to` has `from`.
+    // A pixel of `from` is `to` units long, and a pixel of `to` is `from` units long.
     let [i, from, to] = [i, from, to].map(u64::from);
     let [start, end] = [i * from, (i + 1) * from];
     (start / to..end.div_ceil(to)).map(move |k| (k as u32, end.min((k + 1) * to) - start.max(k * to)))

@@ -95,10 +95,10 @@ impl Gain {
         }
     }
 
-    /// Refuses a gain of which pixels have no part.
+    /// Refuses a gain that is no sum over pixels.
     ///
     /// # Errors
-    /// For [`Gain::Coverage`], which is no sum over pixels.
+    /// For [`Gain::Coverage`].
     pub fn check_map(self) -> crate::Result<()> {
         if self == Self::Coverage {
             let expected = "a gain of `logdet` or `trace`, which pixels have";

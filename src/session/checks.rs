@@ -78,7 +78,7 @@ pub fn near(splats: &Splats, cameras: &[Camera], tell: &mut dyn FnMut(Remark)) {
     }
 }
 
-/// Warns of splats of which one side was never seen. Trained splats show something there all the same, and a pixel's
+/// Warns of splats whose one side was never seen. Trained splats show something there all the same, and a pixel's
 /// little light through those in front makes them look more certain than space that no ray reached.
 ///
 /// # Errors

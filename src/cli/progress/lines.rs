@@ -11,7 +11,7 @@ const SHORTEST: Duration = Duration::from_secs(2);
 /// Share of a stage from which its time is known.
 const TELLING: f64 = 0.02;
 
-/// How much longer a stage of which a `share` took `elapsed` will take, if that can be known yet.
+/// Time left of a stage whose `share` took `elapsed`; `None` before that can be known.
 pub fn left(share: f64, elapsed: Duration) -> Option<Duration> {
     let is_known = share >= TELLING && elapsed >= SHORTEST;
     is_known.then(|| elapsed.mul_f64((1.0 / share - 1.0).max(0.0)))

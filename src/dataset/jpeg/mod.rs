@@ -196,7 +196,7 @@ impl Frame {
     }
 }
 
-/// A file of which is known how far it was read.
+/// A file, and how far it was read.
 struct Watched<'a> {
     bytes: ZCursor<&'a [u8]>,
     /// Where the decoder stopped.

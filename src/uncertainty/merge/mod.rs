@@ -51,8 +51,8 @@ pub fn merge(parts: &[impl Part]) -> Result<UncertaintyField> {
 }
 
 /// Makes of the files of all tiles of a run as many files that answer queries, in `folder`: `tile-000-of-008.oct` and
-/// so on, which [`TiledField`] opens as one field. No more than the sums of one tile, those that
-/// tiles need of each other, and the octree of the whole are ever in memory. Every file is read three times.
+/// so on, which [`TiledField`] opens as one field. No more than the sums of one tile, those that tiles need of each
+/// other, and the octree of the whole are ever in memory. Every file is read three times.
 ///
 /// # Errors
 /// As [`merge`], if the files are not of tiles, if the folder has fields other than finished tiles of these rays, or if
