@@ -149,8 +149,8 @@ impl FrameSplit {
         Self { path, total, frames, rule, missing, has_images, would_be_held_out }
     }
 
-    /// Makes the frames for which `is_trained` holds those for training, and holds out the others; unless the file states
-    /// the purpose of its frames, or it holds for none.
+    /// Makes the frames for which `is_trained` holds those for training, and holds out the others; unless the file
+    /// states the purpose of its frames, or it holds for none.
     #[must_use]
     pub fn by_model(mut self, is_trained: impl Fn(&Frame) -> bool) -> Self {
         if self.rule == Rule::File {

@@ -160,8 +160,8 @@ fn similarity(path: &Path, key: &str, rows: &[Vec<f64>], scale: f64) -> Result<S
     Ok(Similarity { rotation, translation, scale })
 }
 
-/// Poses that `ns-export cameras` wrote, as a transforms.json: the data set's, which lies beside the file, with the poses
-/// of its frames replaced.
+/// Poses that `ns-export cameras` wrote, as a transforms.json: the data set's, which lies beside the file, with the
+/// poses of its frames replaced.
 ///
 /// # Errors
 /// If it is not there, if a pose is of a picture that it does not have once, or if an entry is no pose.
