@@ -45,7 +45,8 @@ pub fn evaluate(
     let depth = DepthFiles { folder: options.get("depth")?, pattern, scale: options.get("depth_encoding")?, kind };
     let folder = options.or("cameras", PathBuf::new())?;
     let cameras = camera_file(&folder, Part::HeldOut);
-    let held_out = CameraSource { file: Some(cameras.clone()), fov: None, resolution: options.resolution()? };
+    let (file, resolution) = (Some(cameras.clone()), options.resolution()?);
+    let held_out = CameraSource { file, resolution, ..CameraSource::default() };
     let selection = options.selection()?;
     let (name, settings) = (options.or("source", String::new())?, image_settings(&options)?);
     let (stride, training_depth) = (options.or("stride", Evaluation::STRIDE)?, options.get("training_depth")?);

@@ -204,7 +204,8 @@ pub fn read_cameras<'py>(
     // A folder means the same file as on the command line.
     let file = path.as_ref().map(|path| camera_file(path, Part::Training));
     let note = path.zip(file.as_ref()).and_then(|(path, file)| passed_over(&path, file));
-    let from = CameraSource { file, fov: options.get("fov")?, resolution: options.resolution()? };
+    let (fov, resolution) = (options.get("fov")?, options.resolution()?);
+    let from = CameraSource { file, fov, resolution, ..CameraSource::default() };
     let selection = options.selection()?;
     let model = model.map(|model| model.get().0.clone());
     let mut texts: Vec<Said> = note.map(Remark::Note).map(said).into_iter().collect();

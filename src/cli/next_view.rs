@@ -223,7 +223,8 @@ impl Args {
     ) -> Result<Candidates> {
         let made = match (&self.candidates, self.sphere, self.orbit) {
             (Some(path), ..) => {
-                let source = CameraSource { file: Some(path.clone()), fov: None, resolution: self.cameras.resolution };
+                let (file, resolution) = (Some(path.clone()), self.cameras.resolution);
+                let source = CameraSource { file, resolution, ..CameraSource::default() };
                 let views = source.read(None, &mut tell)?;
                 files.clone().images_of("--candidates", &views).check()?;
                 let (names, cameras) = views.frames.into_iter().map(|frame| (frame.name, frame.camera)).unzip();

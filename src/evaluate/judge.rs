@@ -12,6 +12,7 @@ use super::{
 use glam::DVec3;
 
 use crate::dataset::{DepthKind, DepthReadings, Frame, FrameSplit, LargestDepth, Part, Selection, Views};
+use crate::error::counted;
 use crate::estimate::{RaySettings, Subject};
 use crate::geometry::{Aabb, Camera, NamedCamera};
 use crate::metrics::{STEPS, quantile};
@@ -22,6 +23,12 @@ use crate::{Error, Result};
 
 /// What else may be wrong if depths are.
 const CAUSES: &str = "likely causes: --depth-encoding, --z-depth, or units of the cameras";
+
+/// Memory of a pixel that shows matter, until all views are judged, bytes: 216 to 266 were measured. The pixels of lego
+/// on white took 65 to 72 in the mean.
+const BYTES_PER_PIXEL: u64 = 266;
+/// Memory that is announced, bytes.
+const MUCH_MEMORY: u64 = 1 << 30;
 
 /// A message to the user about an evaluation, one sentence.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -148,6 +155,7 @@ impl<'a> Evaluation<'a> {
                  at the size of their training"
             )));
         }
+        remarks.extend(self.memory(&frames));
         if known > 0 {
             let n = frames.len();
             remarks.push(Remark::Warning(format!(
@@ -169,6 +177,20 @@ impl<'a> Evaluation<'a> {
         let training_depth = self.training_depth.as_ref().map(maps).transpose()?;
         let used = split.describe(Part::HeldOut, &frames);
         Ok(Prepared { evaluation: self, frames, training, trained_on: known, depth, training_depth, used, remarks })
+    }
+
+    /// In words, the memory that the pixels take until all views are judged, if it is much.
+    fn memory(&self, frames: &[Frame]) -> Option<Remark> {
+        let side = |side: u32| u64::from(side.div_ceil(self.stride));
+        let pixels = |frame: &Frame| frame.camera.resolution.map(side).iter().product::<u64>();
+        let bytes = BYTES_PER_PIXEL * frames.iter().map(pixels).sum::<u64>();
+        (bytes >= MUCH_MEMORY).then(|| {
+            Remark::Note(format!(
+                "the pixels of {} take up to {:.1} GB of memory (--stride N: every Nth pixel along x and y)",
+                counted(frames.len(), "view"),
+                bytes as f64 / 1e9
+            ))
+        })
     }
 
     /// The frames that the model was trained on, with their depth maps.

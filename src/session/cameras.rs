@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::identity::unchanged;
+use super::training_args::TrainingArgs;
 use crate::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
 use crate::error::{counted, printable};
 use crate::evaluate::Remark;
@@ -57,6 +58,9 @@ pub struct CameraSource {
     pub fov: Option<f64>,
     /// Image size.
     pub resolution: Option<Resolution>,
+    /// The file of a model that stores no cameras: beside it, or beside the camera file, the original code of Gaussian
+    /// splatting writes whether frames were held out.
+    pub model_file: Option<PathBuf>,
 }
 
 /// The cameras that a model was trained on.
@@ -145,7 +149,9 @@ impl CameraSource {
         let files = || self.file.iter().flat_map(|path| Views::files(path)).collect();
         let (views, files) = unchanged(files, || self.read(model, tell))?;
         let (None, Some((own, _))) = (&self.file, model) else {
-            let (views, used) = chosen(views, selection, model.map(|(model, _)| model), tell)?;
+            let args = TrainingArgs::beside(&[&self.model_file, &self.file].into_iter().flatten().collect::<Vec<_>>());
+            let all = args.filter(|args| args.is_evaluated() == Some(false));
+            let (views, used) = chosen(views, selection, model.map(|(model, _)| model), all, tell)?;
             return Ok(TrainingCameras { views, used, source: files.join(" and ") });
         };
         let stored = own.training_cameras();
@@ -163,11 +169,13 @@ impl CameraSource {
     }
 }
 
-/// The training frames of a camera file, and why these.
+/// The training frames of a camera file, and why these. `trained_on_all` are the settings of a training that held out
+/// no frame, if it is known to be one.
 fn chosen(
     views: Views,
     selection: &Selection,
     model: Option<&dyn RadianceField>,
+    trained_on_all: Option<TrainingArgs>,
     tell: &mut dyn FnMut(Remark),
 ) -> Result<(Views, String)> {
     let (path, resolution_source) = (views.path.clone(), views.resolution_source);
@@ -181,6 +189,16 @@ fn chosen(
             let trained: BTreeSet<usize> =
                 all.iter().zip(matches).filter_map(|(frame, known)| known.map(|_| frame.index)).collect();
             split = split.by_model(|frame| trained.contains(&frame.index));
+        }
+    }
+    if let Some(args) = trained_on_all {
+        let before = split.matching(Part::Training, &Selection::All, |_| true)?.len();
+        split = split.by_model(|_| true);
+        if split.matching(Part::Training, &Selection::All, |_| true)?.len() > before {
+            tell(Remark::Note(format!(
+                "{}: the splats were trained on all frames (`eval=False`)",
+                args.path.display()
+            )));
         }
     }
     let frames = split.select(Part::Training, selection, |_| true)?;

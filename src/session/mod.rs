@@ -10,7 +10,6 @@
 //! Python rewrites them into arguments. The command line and Python are two faces of this module.
 
 mod accumulation;
-mod background;
 mod belongs;
 mod cameras;
 mod candidates;
@@ -25,6 +24,7 @@ mod report;
 mod run;
 mod scale;
 mod threshold;
+mod training_args;
 mod world;
 
 pub use accumulation::Accumulation;

@@ -1,13 +1,14 @@
 //! One run: what is asked for, checked, drawn and attached.
 
 use std::cell::RefCell;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use derive_setters::Setters;
 use glam::Vec3;
 
-use super::{Choices, Finished, Purpose, TrainingPixels, background, checks, world};
+use super::training_args::TrainingArgs;
+use super::{Choices, Finished, Purpose, TrainingPixels, checks, world};
 use crate::dataset::{Frame, Views, memory_of_masks, read_masks};
 use crate::estimate::{
     Audit, Checkpoint, ErrorBudget, Estimation, Goal, GridSettings, Outcome, RayError, RaySettings, Run, StepCheck,
@@ -201,9 +202,12 @@ impl Session {
         let rays = self.rays.background(self.background.unwrap_or(self.rays.background));
         let Subject::Splats(splats) = model else { return Ok((rays, None)) };
         let name = |color: Vec3| if color == Vec3::ONE { "white" } else { "black" };
-        let files = [self.model_file.as_deref(), Some(self.views.path.as_path())];
-        if let Some((path, own)) = background::stated(&files.into_iter().flatten().collect::<Vec<_>>()) {
-            let (path, own_name) = (path.display(), name(own));
+        let args = TrainingArgs::beside(&self.files_of_training());
+        if let Some(args) = &args {
+            checks::sizes(args, &self.views, tell);
+        }
+        if let Some((args, own)) = args.as_ref().and_then(|args| Some((args, args.background()?))) {
+            let (path, own_name) = (args.path.display(), name(own));
             match self.background {
                 None => tell(Remark::Note(format!("{path}: {own_name} lay behind the splats (--background)"))),
                 Some(chosen) if chosen != own => tell(Remark::Warning(format!(
@@ -236,6 +240,11 @@ impl Session {
         Ok((rays, found))
     }
 
+    /// The files beside which the original code of Gaussian splatting writes what it was run with.
+    fn files_of_training(&self) -> Vec<&Path> {
+        [self.model_file.as_deref(), Some(self.views.path.as_path())].into_iter().flatten().collect()
+    }
+
     /// The frames whose images are compared with the model before the run.
     fn frames_with_images(&self) -> &[Frame] {
         self.images.as_ref().map_or(&*self.views.frames, TrainingImages::frames)
@@ -254,8 +263,8 @@ impl Session {
 
     /// The space that the field covers if nobody says another.
     fn covered(&self, model: Subject, monitor: &dyn Monitor, tell: &mut dyn FnMut(Remark)) -> Result<Domain> {
-        let domain = match model {
-            Subject::Volume(field) => field.natural_domain(),
+        let (domain, sky) = match model {
+            Subject::Volume(field) => (field.natural_domain(), 0.0),
             Subject::Splats(splats) => {
                 let seen = seen_domain(&SplatRenderer::new(splats, self.rays.background), &self.cameras, monitor)?;
                 if seen.behind > 0.0 {
@@ -265,17 +274,20 @@ impl Session {
                         100.0 * seen.behind
                     )));
                 }
-                seen.domain
+                (seen.domain, seen.behind)
             }
         };
         match (model, domain) {
             (_, Domain::Contracted { .. }) => {
                 tell(Remark::Note(format!("the field covers what the model does, {domain} (--box for a box)")));
             }
-            (Subject::Splats(_), Domain::Box(bounds)) => {
+            (Subject::Splats(splats), Domain::Box(bounds)) => {
                 let [low, high] = [bounds.min(), bounds.max()];
                 let text = format!("the cameras see splats from {low:.3} to {high:.3}; the field covers that (--box)");
                 tell(Remark::Note(text));
+                if sky == 0.0 {
+                    checks::share(splats, &bounds, tell);
+                }
             }
             (Subject::Volume(_), Domain::Box(_)) => {}
         }

@@ -379,6 +379,28 @@ fn splats_too_near_to_be_drawn_are_warned_of() {
 }
 
 #[test]
+fn cameras_that_see_a_small_part_of_the_splats_are_warned_of() {
+    let folder = folder();
+    let folder = folder.path();
+    let around = |distance: f64| {
+        let camera = |i: u32| {
+            let (sin, cos) = (0.5 * f64::from(i)).sin_cos();
+            let eye = distance * DVec3::new(cos, sin, 0.3 * cos);
+            (format!("r_{i}"), Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.8, [48, 40]))
+        };
+        let cameras: Vec<_> = (0..12).map(camera).collect();
+        octobayes::dataset::write_transforms(&folder.join("around.json"), &cameras).unwrap();
+        let args = RUN.replace("transforms.json", "around.json");
+        String::from_utf8_lossy(&run(folder, &format!("{args} -o scene.oct")).stderr).to_string()
+    };
+    let said = around(2.2);
+    assert!(!said.contains("of the opaque splats lie within"), "{said}");
+    // Inside of the ball, where each of them sees a part of the other side.
+    let said = around(0.55);
+    assert!(said.contains("of the opaque splats lie within what the cameras see"), "{said}");
+}
+
+#[test]
 fn images_beside_the_cameras_are_compared_with_the_splats() {
     let folder = folder();
     let folder = folder.path();
@@ -447,4 +469,34 @@ fn what_lay_behind_splats_is_stated_or_shown_by_images_or_assumed_with_a_note() 
     let (background, notes, _) = said("--background white --force");
     assert!(background == [1.0; 3] && notes.contains("warning: "), "{notes}");
     assert!(notes.contains("cfg_args: black lay behind the splats in training, but not by --background"), "{notes}");
+}
+
+/// The original code writes the size of its images and whether it held out frames.
+#[test]
+fn cfg_args_say_which_frames_were_trained_on_and_at_which_size() {
+    let folder = folder();
+    let folder = folder.path();
+    let frames = (0..12).map(|i| {
+        let (sin, cos) = (0.5 * f64::from(i)).sin_cos();
+        let eye = DVec3::new(2.2 * cos, 2.2 * sin, 0.5);
+        (format!("r_{i:02}"), Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.8, [48, 40]))
+    });
+    octobayes::dataset::write_transforms(&folder.join("transforms.json"), &frames.collect::<Vec<_>>()).unwrap();
+    photograph(folder, 0.0);
+    let said = |settings: &str, args: &str| {
+        std::fs::write(folder.join("cfg_args"), format!("Namespace({settings}, white_background=False)")).unwrap();
+        let output = run(folder, &format!("{RUN} -o x.oct {args}"));
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8_lossy(&output.stderr).to_string()
+    };
+    let notes = said("eval=True, resolution=-1", "");
+    assert!(notes.contains("are held out") && !notes.contains("cfg_args: the splats"), "{notes}");
+    let notes = said("eval=False, resolution=1", "");
+    assert!(notes.contains("cfg_args: the splats were trained on all frames"), "{notes}");
+    assert!(notes.contains("12 cameras of 12 frames") && !notes.contains("held out"), "{notes}");
+    let notes = said("resolution=2", "");
+    assert!(notes.contains("trained at 24 x 20, but the cameras have 48 x 40 pixels"), "{notes}");
+    assert!(notes.contains("--resolution 24x20"), "{notes}");
+    let notes = said("resolution=2", "--resolution 24x20");
+    assert!(!notes.contains("trained at"), "{notes}");
 }

@@ -70,7 +70,8 @@ impl CameraFile {
 
     /// Reads the file.
     pub fn read(&self) -> Result<Views> {
-        let source = CameraSource { file: Some(self.cameras.clone()), fov: None, resolution: self.resolution };
+        let file = Some(self.cameras.clone());
+        let source = CameraSource { file, resolution: self.resolution, ..CameraSource::default() };
         source.read(None, &mut tell)
     }
 }
@@ -119,7 +120,7 @@ impl CameraOptions {
     }
 
     fn source(&self) -> CameraSource {
-        CameraSource { file: self.cameras.clone(), fov: self.fov, resolution: self.resolution }
+        CameraSource { file: self.cameras.clone(), fov: self.fov, resolution: self.resolution, model_file: None }
     }
 
     /// Reads the camera file, or else asks the model `name`; splats store no cameras.
@@ -136,7 +137,8 @@ impl CameraOptions {
         name: &str,
     ) -> Result<TrainingCameras> {
         let selection = options.views.clone().unwrap_or_default();
-        let cameras = self.source().training(&selection, model.map(|model| (model, name)), &mut tell)?;
+        let source = CameraSource { model_file: Some(PathBuf::from(name)), ..self.source() };
+        let cameras = source.training(&selection, model.map(|model| (model, name)), &mut tell)?;
         announce!("note: {}", cameras.used);
         Ok(cameras)
     }

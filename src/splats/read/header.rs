@@ -107,7 +107,7 @@ pub(super) struct Ply<'a> {
 pub(super) fn parse<'a>(path: &Path, bytes: &'a [u8]) -> Result<Ply<'a>> {
     let (header, mut body) = split(path, bytes)?;
     let mut ply = Ply { elements: Vec::new(), comments: Vec::new() };
-    let mut has_format = false;
+    let (mut has_format, mut other_format) = (false, None);
     for (i, line) in header.lines().enumerate().skip(1) {
         let line = line.trim_end_matches('\r');
         let wrong =
@@ -115,7 +115,7 @@ pub(super) fn parse<'a>(path: &Path, bytes: &'a [u8]) -> Result<Ply<'a>> {
         let words: Vec<&str> = line.split_whitespace().collect();
         match words[..] {
             ["format", "binary_little_endian", "1.0"] => has_format = true,
-            ["format", ..] => return Err(wrong("`format binary_little_endian 1.0` (save the file as binary)")),
+            ["format", ..] => other_format = Some(wrong("`format binary_little_endian 1.0` (save the file as binary)")),
             ["comment", ..] => ply.comments.push(line.strip_prefix("comment ").unwrap_or_default().to_string()),
             ["obj_info", ..] | [] => {}
             ["element", name, count] => {
@@ -144,12 +144,14 @@ pub(super) fn parse<'a>(path: &Path, bytes: &'a [u8]) -> Result<Ply<'a>> {
             _ => return Err(wrong("a line of a PLY header")),
         }
     }
-    if !has_format {
-        return Err(Error::malformed(path, "header", "`format binary_little_endian 1.0`", "no format"));
-    }
+    // A mesh is none of splats in any format.
     if let Some(faces) = ply.elements.iter().find(|e| MESHES.contains(&&*e.name) && e.count > 0) {
         let found = format!("{} of element `{}`", faces.count, faces.name);
         return Err(Error::malformed(path, "header", "no faces (a mesh is no file of splats)", found));
+    }
+    other_format.map_or(Ok(()), Err)?;
+    if !has_format {
+        return Err(Error::malformed(path, "header", "`format binary_little_endian 1.0`", "no format"));
     }
     once(path, "header, elements", ply.elements.iter().map(|element| &element.name))?;
     let bytes = body.len();
@@ -250,6 +252,7 @@ mod tests {
                 "header, line 2: expected `format binary_little_endian 1.0`",
             ),
             ("ply\nend_header\n".into(), "found no format"),
+            ("ply\nformat ascii 1.0\nelement face 1\nend_header\n".into(), "no faces (a mesh is no file of splats)"),
             (format!("{start}element vertex -1\nend_header\n"), "line 3: expected `element NAME COUNT`"),
             (format!("{start}property float x\nend_header\n"), "line 3: expected an element before its properties"),
             (format!("{start}element v 1\nproperty half x\nend_header\n"), "line 4: expected `property TYPE NAME`"),
