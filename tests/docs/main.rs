@@ -4,6 +4,4 @@ mod architecture;
 mod book;
 #[path = "../../experiments/common/mod.rs"]
 mod common;
-mod figures;
 mod reports;
-mod style;
