@@ -1,18 +1,17 @@
 //! `demo`: the whole pipeline, for users who have no model yet.
 
-mod made;
 mod matter;
 mod model;
 mod scene;
 #[cfg(test)]
 mod tests;
 
+use std::io::Write;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
 
-use self::made::{LIST, Made};
 use self::matter::Shares;
 use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
@@ -24,6 +23,7 @@ use crate::dataset::{Frame, write_transforms};
 use crate::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
 use crate::field::RadianceField;
 use crate::geometry::Camera;
+use crate::io::AtomicFile;
 use crate::monitor::Monitor;
 use crate::picture::{Panel, color_panel, write_noted_sheet, write_sheet};
 use crate::rays::RunProgress;
@@ -35,6 +35,9 @@ use crate::{Error, Result};
 
 /// File name of the trained model, in the folder of results.
 const MODEL: &str = "courtyard.safetensors";
+
+/// The file that marks a folder of a demo.
+const MARKER: &str = "demo.json";
 
 /// Cells of the viewer's volume, and the most bytes of its file: it is written in a few seconds.
 const CELLS: u32 = 128;
@@ -58,7 +61,7 @@ const LEAST_BAR: f64 = 1.0;
 ///
 /// With --scene, uses a built-in scene instead of a trained model.
 ///
-/// Replaces files of an earlier demo, which demo.json in the folder lists, and no others.
+/// Replaces the results of an earlier demo, whose folder has a file demo.json, and no other files.
 #[derive(clap::Args)]
 pub struct Args {
     /// Folder for the results
@@ -89,12 +92,26 @@ impl Args {
         std::fs::create_dir_all(&self.output).map_err(Error::io(&self.output, "cannot create the folder"))?;
         let model = self.scene.is_none().then_some(MODEL);
         let results = ["view.html", "demo.png", "field.oct", "dense.oct", "transforms.json"].into_iter().chain(model);
-        let files = results.clone().chain([LIST]).map(|name| self.output.join(name));
-        CommandFiles::default().outputs("a file in --output", files).check()?;
-        let made = Made::claim(&self.output, results)?;
-        self.results(named, bars).map_err(|error| made.after(error))?;
-        made.finish()?;
+        let files: Vec<PathBuf> = results.chain([MARKER]).map(|name| self.output.join(name)).collect();
+        CommandFiles::default().outputs("a file in --output", files.clone()).check()?;
+        self.claim(&files)?;
+        self.results(named, bars)?;
         self.suggest()
+    }
+
+    /// Marks the folder as one of a demo, unless it holds `files` of others.
+    fn claim(&self, files: &[PathBuf]) -> Result<()> {
+        let marker = self.output.join(MARKER);
+        if marker.exists() {
+            return Ok(());
+        }
+        if let Some(other) = files.iter().find(|file| file.exists()) {
+            let expected = "nothing, or a folder of an earlier demo";
+            return Err(Error::malformed(other, "file in --output", expected, "a file; choose another folder"));
+        }
+        let mut file = AtomicFile::create(&marker)?;
+        writeln!(file, "{{ \"made_by\": \"octobayes demo\" }}").map_err(Error::io(&marker, "cannot write"))?;
+        file.commit()
     }
 
     /// Writes all results, and prints what they are.
