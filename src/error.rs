@@ -98,7 +98,7 @@ impl std::error::Error for Error {
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// Exit code of the command line: 130 after Ctrl-C (the shell's convention for SIGINT), SIGTERM and SIGHUP,
+    /// Exit code of the command line: 130 after Ctrl-C (the shell's convention for SIGINT) and SIGTERM,
     /// otherwise 2.
     #[must_use]
     pub const fn exit_code(&self) -> u8 {

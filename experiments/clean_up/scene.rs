@@ -44,7 +44,6 @@ pub struct Cleaned {
     /// Of whole images, dB.
     pub psnr: f64,
     pub ssim: f64,
-    pub ssimulacra2: f64,
     /// Share of the pixels that should show matter and do.
     pub coverage: f64,
 }
@@ -83,8 +82,8 @@ pub fn measure(scene: &Scene) -> Result<Row> {
         picture(&folder().join(format!("clean_up/{slug}.png")), scene.data, &truths, &cleaned)?;
     }
     let of = |&(cleaned, _): &(CleanUp, Vec<RenderedView>)| {
-        let CleanUp { threshold, psnr, ssim, ssimulacra2, coverage, .. } = cleaned;
-        Cleaned { threshold, psnr, ssim, ssimulacra2, coverage }
+        let CleanUp { threshold, psnr, ssim, coverage, .. } = cleaned;
+        Cleaned { threshold, psnr, ssim, coverage }
     };
     Ok(Row { scene: scene.name.into(), views: data.training.len(), cleaned: cleaned.iter().map(of).collect() })
 }

@@ -44,7 +44,7 @@ pub fn table(rows: &[Row]) -> String {
     let largest = gains.iter().copied().fold(0.0, f64::max);
     format!(
         "{} of {} scenes gain PSNR at a coverage of {LEAST_COVERAGE} and more, by up to {largest:.2} dB. \
-         PSNR, dB / SSIM / SSIMULACRA 2 / coverage:\n\n{}",
+         PSNR, dB / SSIM / coverage:\n\n{}",
         gains.len(),
         rows.len(),
         table.text()
@@ -52,6 +52,5 @@ pub fn table(rows: &[Row]) -> String {
 }
 
 fn cell(cleaned: Option<&Cleaned>) -> String {
-    cleaned
-        .map_or("–".into(), |c| format!("{:.2} / {:.3} / {:.0} / {:.2}", c.psnr, c.ssim, c.ssimulacra2, c.coverage))
+    cleaned.map_or("–".into(), |c| format!("{:.2} / {:.3} / {:.2}", c.psnr, c.ssim, c.coverage))
 }

@@ -138,7 +138,7 @@ pub fn uncertainty(
             let mut tell = |remark| texts.push(said(remark));
             let prepared = session.prepare(model, engine.monitor(), &mut tell)?;
             if is_dry {
-                let needs = prepared.needs(&mut tell)?;
+                let needs = prepared.needs()?;
                 return Ok((None, texts, json!(needs).to_string()));
             }
             let finished = prepared.finish(&mut tell)?;

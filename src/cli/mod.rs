@@ -1,5 +1,5 @@
 //! The command line, one file per verb. Results go to stdout, progress and warnings to stderr. A failure is one
-//! line on stderr and exit code 2 (130 after Ctrl-C, SIGTERM or SIGHUP).
+//! line on stderr and exit code 2 (130 after Ctrl-C or SIGTERM).
 
 /// Prints one or more lines to stdout: `say!(…)?`.
 macro_rules! say {

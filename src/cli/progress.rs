@@ -34,11 +34,10 @@ impl Bars {
         Self { current, interrupted: Arc::new(AtomicBool::new(false)) }
     }
 
-    /// From now on Ctrl-C, SIGTERM and SIGHUP request the work to stop. Ctrl-C after any of them ends the process at
-    /// once; the others may well come twice, from a shell that ends and from its terminal. A signal that was to be
-    /// ignored, as `nohup` says of SIGHUP, still is.
+    /// From now on Ctrl-C and SIGTERM request the work to stop. Ctrl-C after either of them ends the process at once.
+    /// SIGHUP keeps its effect: it ends the process, or under `nohup` does nothing.
     pub fn listen(&self) {
-        for signal in signals() {
+        for signal in [SIGINT, SIGTERM] {
             // Without a handler the signal still ends the process, and only temporary files stay behind.
             if signal == SIGINT {
                 let _ = signal_hook::flag::register_conditional_shutdown(signal, 130, self.interrupted.clone());
@@ -116,22 +115,4 @@ impl Monitor for Bars {
 pub fn ignore_limit_of_files() {
     #[cfg(unix)]
     let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default());
-}
-
-/// The signals that stop the work.
-fn signals() -> Vec<i32> {
-    #[cfg(unix)]
-    if !is_ignored(signal_hook::consts::SIGHUP) {
-        return vec![SIGINT, SIGTERM, signal_hook::consts::SIGHUP];
-    }
-    vec![SIGINT, SIGTERM]
-}
-
-/// True if this process was started with the signal ignored, as far as the system reports it (Linux does).
-#[cfg(unix)]
-fn is_ignored(signal: i32) -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
-    mask >> (signal - 1) & 1 == 1
 }

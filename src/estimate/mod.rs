@@ -8,7 +8,6 @@
 mod audit;
 mod builder;
 mod checkpoint;
-mod derivatives;
 mod draw;
 mod error_budget;
 mod estimation;

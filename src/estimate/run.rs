@@ -7,7 +7,6 @@ use glam::DVec3;
 
 use super::builder::{Builder, Finish, is_own};
 use super::checkpoint::rays_per_vertex;
-use super::derivatives;
 use super::draw::{Drawn, Part, draw};
 use super::estimation::{Estimation, Goal};
 use super::limits::Limits;
@@ -203,16 +202,6 @@ impl<'a> Run<'a> {
     /// [`Error::Interrupted`] only.
     pub fn check_positions(&self) -> Result<PositionCheck> {
         PositionCheck::measure(&self.stream, &self.lattice, self.settings.grid.tolerance, self.settings.monitor)
-    }
-
-    /// The time of a few rays with the field's own derivatives, relative to that with the run's differences; `None` if
-    /// the run does not use differences, the field has no derivatives, or too many rays meet values that are not
-    /// finite.
-    ///
-    /// # Errors
-    /// [`Error::Interrupted`] only.
-    pub fn time_with_own_derivatives(&self) -> Result<Option<f64>> {
-        derivatives::measure(&self.stream, self.rays(), self.settings.monitor)
     }
 
     /// Measures the cost of the run's approximations on a few of its own rays.

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::shown::empty_view;
 use super::{ShownModel, TrueView};
 use crate::Result;
-use crate::metrics::{psnr, ssim, ssimulacra2};
+use crate::metrics::{psnr, ssim};
 use crate::monitor::{Monitor, check};
 use crate::posterior::Scale;
 use crate::render::{RenderedView, Renderer};
@@ -37,8 +37,6 @@ pub struct CleanUp {
     pub psnr_shown: f64,
     /// SSIM of whole images; NaN if they are too small.
     pub ssim: f64,
-    /// SSIMULACRA 2 of whole images; NaN if they are too small.
-    pub ssimulacra2: f64,
     /// Share of the pixels of all views that should show matter and do (opacity above ½).
     pub coverage: f64,
 }
@@ -54,16 +52,12 @@ impl CleanUp {
 
     fn new(threshold: Option<f64>, log10: Option<f64>, truths: &[TrueView], views: &[RenderedView]) -> Self {
         let (mut shown, mut should) = (0, 0);
-        let mut sums = [0.0; 3];
+        let mut sums = [0.0; 2];
         let (mut psnr_shown, mut views_shown) = (0.0, 0.0);
         for (truth, view) in truths.iter().zip(views) {
             let colors: Vec<DVec3> = view.pixels.iter().map(|p| p.color).collect();
             let size = view.resolution;
-            let metrics = [
-                Some(psnr(&colors, &truth.colors)),
-                ssim(size, &colors, &truth.colors),
-                ssimulacra2(size, &colors, &truth.colors),
-            ];
+            let metrics = [Some(psnr(&colors, &truth.colors)), ssim(size, &colors, &truth.colors)];
             sums.iter_mut().zip(metrics).for_each(|(sum, m)| *sum += m.unwrap_or(f64::NAN));
             let is_shown = |i: usize| view.pixels[i].opacity > 0.5;
             should += truth.covered.iter().filter(|c| **c).count();
@@ -76,10 +70,10 @@ impl CleanUp {
                 views_shown += 1.0;
             }
         }
-        let [psnr, ssim, ssimulacra2] = sums.map(|sum| sum / views.len() as f64);
+        let [psnr, ssim] = sums.map(|sum| sum / views.len() as f64);
         let coverage = f64::from(shown as u32) / f64::from(should as u32);
         let psnr_shown = psnr_shown / views_shown;
-        Self { threshold, log10, surfaces: None, psnr, psnr_shown, ssim, ssimulacra2, coverage }
+        Self { threshold, log10, surfaces: None, psnr, psnr_shown, ssim, coverage }
     }
 }
 

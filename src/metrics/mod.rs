@@ -8,8 +8,6 @@ mod density;
 mod detection;
 mod ensemble;
 mod image;
-#[cfg(feature = "evaluate")]
-mod perceptual;
 mod rank;
 mod sparsification;
 mod ssim;
@@ -22,8 +20,6 @@ pub use density::ErrorDensity;
 pub use detection::Detection;
 pub use ensemble::{density_aware, ensemble_variance};
 pub use image::psnr;
-#[cfg(feature = "evaluate")]
-pub use perceptual::ssimulacra2;
 pub use rank::{quantile, spearman};
 pub use sparsification::{ErrorKind, STEPS, Sparsification, sparsification};
 pub use ssim::ssim;

@@ -3,12 +3,9 @@
 use super::Prepared;
 use super::memory::{available, bytes};
 use crate::estimate::{ErrorBudget, Plan, Planner};
-use crate::evaluate::Remark;
 use crate::io::memory::resident;
 use crate::{Error, Result};
 
-/// Smallest share of the time by which a part of it is reported.
-const NOTABLE: f64 = 0.95;
 /// Report the size of a file before the run if it has more bytes than this.
 const LARGE_FILE: f64 = 5e7;
 
@@ -44,11 +41,10 @@ impl Prepared<'_> {
     ///
     /// # Errors
     /// As [`Run::forecast`](crate::estimate::Run::forecast).
-    pub fn needs(&self, tell: &mut dyn FnMut(Remark)) -> Result<Needs> {
+    pub fn needs(&self) -> Result<Needs> {
         let plan = self.run.forecast()?;
         // The pilot's time belongs to the run as well, which makes one of its own.
         let seconds = (plan.time + self.start.elapsed()).as_secs_f64();
-        self.note_own_derivatives(tell)?;
         Ok(Needs {
             rays: self.run.rays(),
             level: self.grid.level,
@@ -67,7 +63,7 @@ impl Prepared<'_> {
     ///
     /// # Errors
     /// If that is more memory than there is, or as [`Prepared::needs`].
-    pub fn forecast(&self, tell: &mut dyn FnMut(Remark)) -> Result<Option<Plan>> {
+    pub fn forecast(&self) -> Result<Option<Plan>> {
         if !self.has_fixed_rays() {
             return Ok(None);
         }
@@ -87,20 +83,6 @@ impl Prepared<'_> {
         }
         let is_notable =
             self.grid.needs_plan() || self.run.rays() >= Planner::CHEAP * Planner::PILOT || plan.file > LARGE_FILE;
-        if is_notable {
-            self.note_own_derivatives(tell)?;
-        }
         Ok(is_notable.then_some(plan))
-    }
-
-    /// Notes what the field's own derivatives would save, if they would.
-    fn note_own_derivatives(&self, tell: &mut dyn FnMut(Remark)) -> Result<()> {
-        if let Some(ratio) = self.run.time_with_own_derivatives()?.filter(|&ratio| ratio < NOTABLE) {
-            tell(Remark::Note(format!(
-                "the model knows its own derivatives; with --gradient auto its rays take about {:.0} % of the time",
-                100.0 * ratio
-            )));
-        }
-        Ok(())
     }
 }

@@ -55,9 +55,9 @@ mod tests {
     #[test]
     fn versions_stand_in_the_order_of_what_they_keep() {
         let version = |threshold: Option<f64>, psnr: f64| {
-            let [psnr_shown, ssim, ssimulacra2, coverage] = [psnr; 4];
+            let [psnr_shown, ssim, coverage] = [psnr; 3];
             let (log10, surfaces) = (threshold, None);
-            (CleanUp { threshold, log10, surfaces, psnr, psnr_shown, ssim, ssimulacra2, coverage }, Vec::new())
+            (CleanUp { threshold, log10, surfaces, psnr, psnr_shown, ssim, coverage }, Vec::new())
         };
         let all = |best: f64| {
             let psnr = |t: f64| if t == best { 30.0 } else { 20.0 };

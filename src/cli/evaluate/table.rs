@@ -91,18 +91,17 @@ impl Args {
     fn print_clean_up(&self, report: &Report, first: &str) -> Result<()> {
         let Some(path) = &self.clean_up else { return Ok(()) };
         say!("clean-up by {first}, pictures in {}", path.display())?;
-        say!("  log10 U at most   surfaces kept    PSNR, dB   where shown      SSIM   SSIMULACRA 2   coverage")?;
+        say!("  log10 U at most   surfaces kept    PSNR, dB   where shown      SSIM   coverage")?;
         let best = CleanUp::best(&report.clean_up).and_then(|best| best.threshold);
         for c in &report.clean_up {
             let log10 = c.log10.map_or("as it is".into(), |u| format!("{u:.2}"));
             let surfaces = c.surfaces.map_or(String::new(), |share| format!("{:.1} %", 100.0 * share));
             let mark = if c.threshold.is_some() && c.threshold == best { "   best PSNR" } else { "" };
             say!(
-                "  {log10:>15} {surfaces:>15} {:>11} {:>13} {:>9} {:>14} {:>10}{mark}",
+                "  {log10:>15} {surfaces:>15} {:>11} {:>13} {:>9} {:>10}{mark}",
                 number(c.psnr, 2),
                 number(c.psnr_shown, 2),
                 number(c.ssim, 4),
-                number(c.ssimulacra2, 1),
                 number(c.coverage, 3)
             )?;
         }

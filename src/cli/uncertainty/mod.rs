@@ -300,9 +300,9 @@ impl Args {
             .has_given_fov(self.cameras.fov.is_some());
         let prepared = session.prepare(model.model.subject(), bars, &mut tell)?;
         let Some(output) = self.output.as_ref().filter(|_| !self.dry_run) else {
-            return self.print(&prepared.needs(&mut tell)?);
+            return self.print(&prepared.needs()?);
         };
-        if let Some(plan) = prepared.forecast(&mut tell)? {
+        if let Some(plan) = prepared.forecast()? {
             report::plan(&plan, prepared.level());
         }
         let level = prepared.level();

@@ -366,7 +366,7 @@ fn what_only_volumes_have_is_refused() {
     refused(start().rays(rays).grid(grid().criteria(density)), "criterion `density`");
     let run = start().rays(rays).prepare().unwrap();
     assert!(run.audit().unwrap_err().to_string().contains("audit"));
-    assert!(run.check_step().unwrap().is_none() && run.time_with_own_derivatives().unwrap().is_none());
+    assert!(run.check_step().unwrap().is_none());
     // A forecast looks through few cameras, and other pixels.
     assert!(run.forecast().unwrap().vertices > 100.0);
     assert!(run.stream().for_purpose(Purpose::Pilot).pixels.seed() != run.stream().pixels.seed());
