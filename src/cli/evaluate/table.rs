@@ -111,7 +111,13 @@ impl Args {
 
 /// A number in a table; a dash if there is none.
 fn number(value: f64, digits: usize) -> String {
-    if value.is_nan() { "–".into() } else { format!("{value:.digits$}") }
+    if value.is_nan() {
+        return "–".into();
+    }
+    let text = format!("{value:.digits$}");
+    // What rounds to zero has no sign.
+    let is_zero = text.bytes().all(|byte| b"-0.".contains(&byte));
+    if is_zero { text.trim_start_matches('-').into() } else { text }
 }
 
 /// A row of the ranking.
@@ -149,15 +155,11 @@ fn print_calibration(report: &Report, width: usize) -> Result<()> {
         width = width + 2
     )?;
     let line = |name: &str, c: &Calibration| {
-        let held = c.predictive().coverage.map(|[_, found]| format!("{:>6.1} %", 100.0 * found)).concat();
-        let [gauss, laplace, student] = c.densities.each_ref().map(|of| of.nll);
-        let [g, l, s] = c.densities.each_ref().map(|of| of.nll_best_scale);
-        say!(
-            "  {name:<width$}{held} {:>7.3} {:>10.2} {gauss:>18.2} {laplace:>8.2} {student:>8.2}   \
-             ({g:.2}, {l:.2}, {s:.2})",
-            c.predictive().auce,
-            c.mean_ratio
-        )
+        let held = c.predictive().coverage.map(|[_, found]| format!("{:>6} %", number(100.0 * found, 1))).concat();
+        let [gauss, laplace, student] = c.densities.each_ref().map(|of| number(of.nll, 2));
+        let [g, l, s] = c.densities.each_ref().map(|of| number(of.nll_best_scale, 2));
+        let [auce, ratio] = [number(c.predictive().auce, 3), number(c.mean_ratio, 2)];
+        say!("  {name:<width$}{held} {auce:>7} {ratio:>10} {gauss:>18} {laplace:>8} {student:>8}   ({g}, {l}, {s})")
     };
     report.calibrated_measures().try_for_each(|(name, calibration)| line(name, calibration))?;
     let seen = format!("where {CONFIRMING_VIEWS} training views see a surface at that depth");
@@ -180,4 +182,15 @@ fn print_calibration(report: &Report, width: usize) -> Result<()> {
         say!("  {}: {held}; here {:.1} % are", inside.name, 100.0 * inside.share_inside)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::number;
+
+    #[test]
+    fn unknown_numbers_are_dashes_and_zero_has_no_sign() {
+        let found = [f64::NAN, -0.0004, -0.0, -0.0006, 12.3456, f64::INFINITY].map(|value| number(value, 3));
+        assert_eq!(found, ["–", "0.000", "0.000", "-0.001", "12.346", "inf"]);
+    }
 }
