@@ -176,9 +176,11 @@ LONG_RUNS = {
 @pytest.mark.parametrize("what", LONG_RUNS)
 def test_ctrl_c_stops_within_a_second(what, tmp_path):
     code = f"""
-        import sys, time
+        import signal, sys, time
         import octobayes as ob
 
+        # Shells start jobs in the background with this signal ignored.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         model = ob.open_model("scene:courtyard")
         cameras = model.cameras(resolution=(48, 48))
 
