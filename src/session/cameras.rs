@@ -150,7 +150,8 @@ impl CameraSource {
         let (views, files) = unchanged(files, || self.read(model, tell))?;
         let (None, Some((own, _))) = (&self.file, model) else {
             let args = TrainingArgs::beside(&[&self.model_file, &self.file].into_iter().flatten().collect::<Vec<_>>());
-            let all = args.filter(|args| args.is_evaluated() == Some(false));
+            // The original code trains splats: a volume was not trained by it.
+            let all = args.filter(|args| model.is_none() && args.is_evaluated() == Some(false));
             let (views, used) = chosen(views, selection, model.map(|(model, _)| model), all, tell)?;
             return Ok(TrainingCameras { views, used, source: files.join(" and ") });
         };
@@ -239,6 +240,25 @@ mod tests {
         let error = read(Some((&scene, "ball.npz"))).unwrap_err().to_string();
         assert!(error.contains("--cameras") && error.contains("`ball.npz`"), "{error}");
         assert!(read(None).unwrap_err().to_string().contains("brings no cameras"));
+    }
+
+    #[test]
+    fn settings_of_splats_do_not_decide_which_frames_a_volume_was_trained_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let cameras = ClosedForm::half_circle(12, [2, 2]).into_iter().enumerate();
+        let named: Vec<_> = cameras.map(|(i, camera)| (format!("r_{i:02}"), camera)).collect();
+        let file = folder.path().join("transforms.json");
+        crate::dataset::write_transforms(&file, &named).unwrap();
+        for (name, _) in &named {
+            image::RgbImage::new(2, 2).save(folder.path().join(format!("{name}.png"))).unwrap();
+        }
+        std::fs::write(folder.path().join("cfg_args"), "Namespace(eval=False)").unwrap();
+        let source = CameraSource { file: Some(file), ..CameraSource::default() };
+        let scene = ClosedForm::ball();
+        let trained = |model: Option<(&dyn RadianceField, &str)>| {
+            source.training(&Selection::All, model, &mut |_| ()).unwrap().views.frames.len()
+        };
+        assert_eq!((trained(None), trained(Some((&scene, "ball")))), (12, 11));
     }
 
     #[test]

@@ -97,9 +97,10 @@ pub fn near(splats: &Splats, cameras: &[Camera], tell: &mut dyn FnMut(Remark)) {
 
 /// Warns if the cameras, within the box of what they see, have few of the splats that training made opaque.
 pub fn share(splats: &Splats, seen: &Aabb, tell: &mut dyn FnMut(Remark)) {
-    let opaque = || (0..splats.len()).filter(|&i| splats.opacity(i) >= 0.5).map(|i| splats.mean(i).as_dvec3());
-    let inside = opaque().filter(|mean| (mean.cmpge(seen.min()) & mean.cmple(seen.max())).all()).count();
-    let share = inside as f64 / opaque().count().max(1) as f64;
+    let opaque: Vec<usize> = (0..splats.len()).filter(|&i| splats.opacity(i) >= 0.5).collect();
+    let is_inside = |&&i: &&usize| seen.contains(splats.mean(i));
+    // NaN, and no warning, if none is opaque.
+    let share = opaque.iter().filter(is_inside).count() as f64 / opaque.len() as f64;
     if share < LEAST_INSIDE {
         tell(Remark::Warning(format!(
             "only {:.0} % of the opaque splats lie within what the cameras see, where a training made all of them: \
@@ -156,5 +157,29 @@ pub fn field(field: &UncertaintyField, pooling: Pooling, could_pool: bool, tell:
     if let Some(tile) = field.tile().filter(|_| field.sums().is_some_and(|sums| sums.iter().all(|s| s.rays == 0))) {
         let text = format!("tile {tile} has no vertex that a ray touched: the scene is too small for so many tiles");
         tell(Remark::Note(text));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec3, Quat, Vec3};
+
+    use super::*;
+    use crate::splats::RenderMode;
+
+    #[test]
+    fn few_opaque_splats_in_the_box_are_warned_of_but_not_if_none_is_opaque() {
+        let warnings = |logits: [f32; 5]| {
+            let means = (0..5_u8).map(|i| Vec3::X * f32::from(i)).collect();
+            let (scales, rotations) = (vec![Vec3::splat(-3.0); 5], vec![Quat::IDENTITY; 5]);
+            let splats = Splats::new(means, scales, rotations, logits.to_vec(), vec![0.0; 15], 0, RenderMode::Classic);
+            let (seen, mut found) = (Aabb::new(DVec3::splat(-1.0), DVec3::splat(3.5)).unwrap(), Vec::new());
+            share(&splats.unwrap(), &seen, &mut |remark| found.push(remark.to_string()));
+            found
+        };
+        // Four of five are inside; then three of four opaque ones.
+        assert_eq!(warnings([1.0; 5]), [""; 0]);
+        assert!(warnings([-1.0, 1.0, 1.0, 1.0, 1.0])[0].contains("only 75 % of the opaque splats"));
+        assert_eq!(warnings([-1.0; 5]), [""; 0]);
     }
 }
