@@ -13,8 +13,8 @@ use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::geometry::{Aabb, Domain};
 use octobayes::glam::Vec3;
 use octobayes::monitor::Silent;
-use octobayes::render::Renderer;
-use octobayes::splats::{SplatRenderer, Use};
+use octobayes::render::{Outputs, Renderer};
+use octobayes::splats::SplatRenderer;
 
 const SPLATS: usize = 100_000;
 
@@ -23,9 +23,9 @@ fn splats(c: &mut Criterion) {
     let renderer = SplatRenderer::new(&ball, Vec3::ONE);
     let mut group = c.benchmark_group("splats");
     group.sample_size(10).sampling_mode(SamplingMode::Flat);
-    group.bench_function("prepare", |b| b.iter(|| black_box(renderer.prepare(&cameras[3], Use::Colors))));
+    group.bench_function("prepare", |b| b.iter(|| black_box(renderer.prepare(&cameras[3], Outputs::Colors))));
     group.bench_function("prepare with derivatives", |b| {
-        b.iter(|| black_box(renderer.prepare(&cameras[3], Use::Derivatives)));
+        b.iter(|| black_box(renderer.prepare(&cameras[3], Outputs::Derivatives)));
     });
     group.throughput(Throughput::Elements(cameras[3].pixels()));
     group.bench_function("image", |b| b.iter(|| renderer.image(&cameras[3], 0.5, &[], &[], &Silent).unwrap()));
@@ -33,7 +33,7 @@ fn splats(c: &mut Criterion) {
     group.throughput(Throughput::Elements(rays));
     group.bench_function("run of a million rays", |b| {
         b.iter(|| {
-            let run = Estimation::of_splats(&ball, &cameras).domain(Domain::Box(Aabb::centered_cube(1.1)));
+            let run = Estimation::new(&ball, &cameras).domain(Domain::Box(Aabb::centered_cube(1.1)));
             let grid = GridSettings::default().level(7);
             run.rays(RaySettings::default().rays(rays)).grid(grid).run().unwrap().progress.samples
         });

@@ -1,4 +1,7 @@
-//! How long work reports progress and learns that it should stop. The library itself never prints.
+//! How long work reports progress and learns that it should stop, and what it has to say. The library itself never
+//! prints.
+
+use std::fmt;
 
 /// Receives progress, and may stop the work. The command line implements it with progress bars.
 pub trait Monitor: Sync {
@@ -31,4 +34,22 @@ impl Monitor for Silent {
 /// [`crate::Error::Interrupted`] only.
 pub fn check(monitor: &dyn Monitor) -> crate::Result<()> {
     if monitor.interrupted() { Err(crate::Error::Interrupted) } else { Ok(()) }
+}
+
+/// A message to the user, one sentence.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Message {
+    /// What was assumed or left out.
+    Note(String),
+    /// What is probably wrong.
+    Warning(String),
+}
+
+impl fmt::Display for Message {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Note(text) => write!(f, "note: {text}"),
+            Self::Warning(text) => write!(f, "warning: {text}"),
+        }
+    }
 }

@@ -4,60 +4,19 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::dataset::Views;
-use crate::estimate::Subject;
+use crate::estimate::Model;
 #[cfg(feature = "train")]
 use crate::field::HashGrid;
 use crate::field::{ClosedForm, Coordinates, NerfMlp, Ppng, RadianceField, VoxelGrid, is_checkpoint};
 use crate::splats::{RenderMode, Splats, refuse_checkpoint};
 use crate::{Error, Result};
 
-/// A model: a volume, whose rays are marched, or splats, which are projected.
-#[derive(Clone)]
-pub enum Model {
-    /// Density and colour at points.
-    Volume(Arc<dyn RadianceField>),
-    /// Gaussian splats.
-    Splats(Arc<Splats>),
-}
-
-impl Model {
-    /// What a run of the model is about.
-    #[must_use]
-    pub fn subject(&self) -> Subject<'_> {
-        match self {
-            Self::Volume(field) => Subject::Volume(&**field),
-            Self::Splats(splats) => Subject::Splats(splats),
-        }
-    }
-
-    /// The volume, if it is one.
-    #[must_use]
-    pub fn field(&self) -> Option<&dyn RadianceField> {
-        match self {
-            Self::Volume(field) => Some(&**field),
-            Self::Splats(_) => None,
-        }
-    }
-
-    /// The splats, if it is those.
-    #[must_use]
-    pub fn splats(&self) -> Option<&Splats> {
-        match self {
-            Self::Volume(_) => None,
-            Self::Splats(splats) => Some(splats),
-        }
-    }
-
-    /// The volume, for what only volumes have. `name` is the model's.
-    ///
-    /// # Errors
-    /// If it is splats.
-    pub fn volume(&self, name: &str) -> Result<&Arc<dyn RadianceField>> {
-        match self {
-            Self::Volume(field) => Ok(field),
-            Self::Splats(_) => Err(no_volume(name)),
-        }
-    }
+/// The volume, for what only volumes have. `name` is the model's.
+///
+/// # Errors
+/// If it is none.
+pub fn volume<'a>(model: &'a dyn Model, name: &str) -> Result<&'a dyn RadianceField> {
+    model.field().ok_or_else(|| no_volume(name))
 }
 
 fn no_volume(name: &str) -> Error {
@@ -71,23 +30,23 @@ fn no_volume(name: &str) -> Error {
 ///
 /// # Errors
 /// As [`open_in`] and [`Splats::read`]; if a mode is given for a volume.
-pub fn open_model(name: &str, coordinates: Option<Coordinates>, mode: Option<RenderMode>) -> Result<Model> {
+pub fn open_model(name: &str, coordinates: Option<Coordinates>, mode: Option<RenderMode>) -> Result<Arc<dyn Model>> {
     let path = Path::new(name);
     if !is_of_splats(name) {
         if let Some(mode) = mode {
             return Err(Error::setting("mode of splats", "a file of splats", format!("`{mode}` for `{name}`")));
         }
-        return open_volume(name, coordinates).map(|field| Model::Volume(field.into()));
+        return open_volume(name, coordinates).map(|field| Arc::new(field) as _);
     }
     if let Some(coordinates) = coordinates {
         let found = format!("`{}` for `{name}`", coordinates.name());
         return Err(Error::setting("coordinates", "a `.ppng` model: others have one kind only", found));
     }
     let splats = Splats::read(path)?;
-    Ok(Model::Splats(Arc::new(match mode {
+    Ok(Arc::new(match mode {
         Some(mode) => splats.with_mode(mode),
         None => splats,
-    })))
+    }))
 }
 
 /// True for a file of splats, by its name.

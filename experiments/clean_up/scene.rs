@@ -4,8 +4,8 @@ use std::path::Path;
 
 use glam::DVec3;
 use octobayes::dataset::Hemisphere;
-use octobayes::estimate::{Estimation, GridSettings, RaySettings, Subject};
-use octobayes::evaluate::{CleanUp, ShownModel, THRESHOLDS, TrueView, clean_up};
+use octobayes::estimate::{Estimation, GridSettings, Model, RaySettings};
+use octobayes::evaluate::{CleanUp, THRESHOLDS, TrueView, clean_up};
 use octobayes::monitor::Silent;
 use octobayes::picture::{Panel, color_panel, write_sheet};
 use octobayes::render::{GradientMethod, RenderedView};
@@ -70,13 +70,13 @@ pub fn measure(scene: &Scene) -> Result<Row> {
     let made = tempfile::tempdir().map_err(Error::io(Path::new("a temporary folder"), "cannot create"))?;
     let data = Dataset::open(scene, made.path())?;
     let model = scene.architecture.model(&data)?;
-    let field = Estimation::new(&*model, &data.cameras()).rays(rays()).run()?.field;
-    let shown = ShownModel::new(Subject::Volume(&*model), &RaySettings::for_images(), None, &Silent)?;
+    let field = Estimation::new(&model, &data.cameras()).rays(rays()).run()?.field;
+    let shown = model.for_images(&RaySettings::for_images(), None, &Silent)?;
     let stride = (data.test[0].camera.resolution[0] / COMPARED).max(1);
     let truths = spread(&data.test)
         .map(|frame| TrueView::read(frame, None, DVec3::ONE, model.pixel_offset(), stride))
         .collect::<Result<Vec<_>>>()?;
-    let cleaned = clean_up(&shown, &BakedField::new(&field), &truths, &THRESHOLDS, &Silent)?;
+    let cleaned = clean_up(&model, &*shown, &BakedField::new(&field), &truths, &THRESHOLDS, &Silent)?;
     if scene.data.may_be_pictured() {
         let slug = scene.name.replace(", ", "-").replace(' ', "-");
         picture(&folder().join(format!("clean_up/{slug}.png")), scene.data, &truths, &cleaned)?;

@@ -131,13 +131,13 @@ impl Scene {
     /// # Errors
     /// As [`RaySettings::stream`].
     pub fn with_surfaces(&self, field: UncertaintyField, rays: RaySettings, points: usize) -> Result<UncertaintyField> {
-        let stream = rays.stream(&*self.field, &self.cameras, field.lattice(), &Silent)?;
+        let stream = rays.stream(&self.field, &self.cameras, field.lattice(), &Silent)?;
         Ok(field.with_surface(stream.surface_points(points, rays.rays, &Silent)?))
     }
 
     /// An estimation of this scene with these settings.
     pub fn estimation(&self, rays: RaySettings, grid: GridSettings) -> Estimation<'_> {
-        Estimation::new(&*self.field, &self.cameras).rays(rays).grid(grid)
+        Estimation::new(&self.field, &self.cameras).rays(rays).grid(grid)
     }
 }
 

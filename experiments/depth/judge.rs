@@ -132,7 +132,7 @@ pub fn uncertainties(
     for level in LEVELS {
         let clock = Clock::start();
         let grid = grid().level(level).scale(Scale::Data(of_data));
-        fields.push(Estimation::new(field, &data.cameras).rays(rays).grid(grid).run()?.field);
+        fields.push(Estimation::new(&field, &data.cameras).rays(rays).grid(grid).run()?.field);
         if level == LEVELS[0] {
             summed = clock.elapsed().cpu;
         }
@@ -189,7 +189,7 @@ pub fn judge(
     let model = VolumeRenderer { differentiation: Some(differentiation), ..plain.clone() };
     let training = TrainingViews::render(&plain, &cameras, pixel_offset, &Silent)?;
     let images = data.for_residuals(pixel_offset).into_iter().map(Ok);
-    let residuals = compare_images(&tracer, images, fields[0].lattice(), &Silent)?.residuals;
+    let residuals = compare_images(&plain, images, fields[0].lattice(), &Silent)?.residuals;
     let edge = DataScale::longest_edge(fields[0].lattice().domain());
     let warp = Warp::render(&tracer, &cameras, pixel_offset)?;
     let readings = readings(fields)?;

@@ -84,7 +84,7 @@ struct Pixels {
 pub fn judge(data: &Data, field: &dyn RadianceField, psnr: f64, rays: RaySettings) -> Result<Row> {
     let domain = Domain::Box(field.bounds());
     let of_data = DataScale::from_cameras(&data.cameras, DataScale::noise_of(psnr), &domain)?;
-    let run = Estimation::new(field, &data.cameras).rays(rays).grid(grid().scale(Scale::Data(of_data))).run()?;
+    let run = Estimation::new(&field, &data.cameras).rays(rays).grid(grid().scale(Scale::Data(of_data))).run()?;
     let offset = field.pixel_offset();
     let settings = RaySettings::for_images();
     let differentiation = settings.differentiation(field, run.field.lattice())?;
@@ -93,7 +93,7 @@ pub fn judge(data: &Data, field: &dyn RadianceField, psnr: f64, rays: RaySetting
     let model = VolumeRenderer { differentiation: Some(differentiation), ..plain.clone() };
     let training = TrainingViews::render(&plain, &data.strided_cameras(offset), offset, &Silent)?;
     let images = data.for_residuals(offset);
-    let compared = compare_images(&tracer, images.iter().cloned().map(Ok), run.field.lattice(), &Silent)?;
+    let compared = compare_images(&plain, images.iter().cloned().map(Ok), run.field.lattice(), &Silent)?;
     let look = |image: TrueView| {
         let seen = TrainingViews::render(&plain, &[image.camera], offset, &Silent)?;
         Ok(Look { image, seen })

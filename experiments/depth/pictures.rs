@@ -2,9 +2,8 @@
 
 use std::path::Path;
 
-use octobayes::estimate::{Estimation, RaySettings, Subject};
-use octobayes::evaluate::{EvaluatedView, Evaluator, Measure, Reading, ShownModel, TrueView};
-use octobayes::field::RadianceField;
+use octobayes::estimate::{Estimation, Model, RaySettings};
+use octobayes::evaluate::{EvaluatedView, Evaluator, Measure, Reading, TrueView};
 use octobayes::metrics::{DensityCalibration, quantile};
 use octobayes::monitor::Silent;
 use octobayes::picture::{Bar, Curve, Panel, color_panel, scalar_panel, write_plot, write_sheet};
@@ -68,12 +67,12 @@ fn judge(scene: &Scene) -> Result<Judged> {
     let estimation = Estimation::new(&model.field, &data.cameras).rays(rays()).grid(grid().scale(Scale::Data(scale)));
     let field = estimation.run()?.field;
     let settings = RaySettings::for_images();
-    let shown = ShownModel::new(Subject::Volume(&model.field), &settings, Some(field.lattice()), &Silent)?;
+    let shown = model.field.for_images(&settings, Some(field.lattice()), &Silent)?;
     let readings = [Reading { name: "block".into(), field, averages: Vec::new() }];
-    let evaluator = Evaluator::new(shown.renderer(), &readings);
+    let evaluator = Evaluator::new(&*shown, &readings);
     let deviation = evaluator.measures().iter().position(|m| *m == Measure::DepthDeviation(0)).expect("its deviation");
     let (mut truths, mut views) = (Vec::new(), Vec::new());
-    for truth in data.held_out(model.field.pixel_offset(), 1)? {
+    for truth in data.held_out(Model::pixel_offset(&model.field), 1)? {
         views.push(evaluator.evaluate(&truth, 0, &Silent)?);
         truths.push(truth);
     }

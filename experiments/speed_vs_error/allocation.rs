@@ -120,7 +120,7 @@ fn interpolated(even: &[[f64; 2]], samples: f64) -> f64 {
 fn allocated(scene: &Scene, rays: &RaySettings, grid: &GridSettings, power: f64) -> Result<Run> {
     let domain = Domain::Box(scene.field.bounds());
     let lattice = grid.lattice(domain)?;
-    let stream = rays.stream(&*scene.field, &scene.cameras, &lattice, &Silent)?;
+    let stream = rays.stream(&scene.field, &scene.cameras, &lattice, &Silent)?;
     let pilot_rays = rays.rays / PILOT;
     let mut pilot = Vec::new();
     stream.run(Shard::whole(pilot_rays), RunProgress::default(), &Silent, |batches, _| {

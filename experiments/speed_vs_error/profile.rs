@@ -158,7 +158,7 @@ fn measure(lego: &Scene, gradient: Option<GradientMethod>) -> Result<Measured> {
             Ok(())
         })?;
     } else {
-        let tracer = &stream.source.volume().expect("a volume is profiled").tracer;
+        let tracer = &stream.source.marched().expect("a volume is profiled").tracer;
         (0..RAYS / 512).into_par_iter().for_each(|batch| {
             let picks = stream.pixels.picks(batch * 512, 512);
             let offset = stream.pixel_offset;

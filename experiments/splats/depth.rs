@@ -9,8 +9,8 @@ use octobayes::evaluate::{DepthMeaning, EvaluatedView, Evaluator, Reading, Score
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
-use octobayes::render::{Probe, RayAverage, RenderedView, Renderer};
-use octobayes::splats::{Hits, SplatRenderer, Splats, Use};
+use octobayes::render::{Outputs, Probe, RayAverage, RenderedView, Renderer};
+use octobayes::splats::{Hits, SplatRenderer, Splats};
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -93,7 +93,7 @@ fn measure(model: &str) -> Result<Vec<Row>> {
     let mut readings = Vec::new();
     for level in LEVELS {
         let grid = GridSettings::default().level(level).covariance(Covariance::Block).keep_sums(true);
-        let run = Estimation::of_splats(&splats, &cameras).domain(domain).grid(grid.scale(Scale::Data(scale)));
+        let run = Estimation::new(&splats, &cameras).domain(domain).grid(grid.scale(Scale::Data(scale)));
         let is_first = level == LEVELS[0];
         let run = run.tap(|batches| {
             if is_first {
@@ -167,7 +167,7 @@ impl Judged<'_> {
     fn by_itself(&self, renderer: &SplatRenderer, truth: &TrueView, view: &EvaluatedView) -> Result<[Vec<f64>; 3]> {
         let probe = Probe { field: &self.blocks, averages: &[RayAverage::WeightedMean] };
         let shown = renderer.image(&truth.camera, MIDDLE, &[probe], &[&self.blocks], &Silent)?;
-        let prepared = renderer.prepare(&truth.camera, Use::Colors);
+        let prepared = renderer.prepare(&truth.camera, Outputs::Colors);
         let (width, mut hits) = (truth.camera.resolution[0] as usize, Hits::default());
         let fisher = |&i: &usize| {
             prepared.hits([i % width, i / width].map(|n| n as f64 + MIDDLE), &mut hits);

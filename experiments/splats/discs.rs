@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 use glam::{DVec3, Quat, Vec3};
 use octobayes::Result;
 use octobayes::estimate::RaySettings;
-use octobayes::geometry::Camera;
+use octobayes::geometry::{Camera, Domain, Lattice};
 use octobayes::metrics::{Detection, spearman};
 use octobayes::monitor::Silent;
 use octobayes::rays::{Pixels, RunProgress, Shard};
@@ -236,7 +236,8 @@ impl Discs {
         let splats = self.at(centres)?;
         let (index, cameras) = (Index::new(&splats), [*camera]);
         let settings = RaySettings::default().pixels(Pixels::Every).background(Vec3::ONE);
-        let stream = settings.splat_stream(&splats, &cameras)?;
+        let lattice = Lattice::from_domain(Domain::Box(splats.bounds()), 4)?;
+        let stream = settings.stream(&splats, &cameras, &lattice, &Silent)?;
         let mut gradient = vec![DVec3::ZERO; centres.len()];
         let mut first = 0;
         let whole = Shard::whole(camera.pixels());

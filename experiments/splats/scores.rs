@@ -43,7 +43,7 @@ pub fn all(splats: &Splats, cameras: &[Camera], bounds: Aabb, noise: f64) -> Res
     let scale = DataScale::from_cameras(cameras, noise, &domain)?;
     let mut sums = Sums::new(splats);
     let grid = GridSettings::default().level(LEVEL).covariance(Covariance::Block).keep_sums(true);
-    let run = Estimation::of_splats(splats, cameras).domain(domain).grid(grid.scale(Scale::Data(scale)));
+    let run = Estimation::new(splats, cameras).domain(domain).grid(grid.scale(Scale::Data(scale)));
     let run = run.rays(RaySettings::default().pixels(Pixels::Every)).tap(|batches| {
         sums.add(batches);
         Ok(())

@@ -4,11 +4,12 @@ use std::hint::black_box;
 
 use octobayes::Result;
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-use octobayes::geometry::{Aabb, Camera, Domain};
+use octobayes::geometry::{Aabb, Camera, Domain, Lattice};
 use octobayes::glam::Vec3;
 use octobayes::monitor::Silent;
 use octobayes::rays::{RunProgress, Shard};
-use octobayes::splats::{Hits, SplatRenderer, Use};
+use octobayes::render::Outputs;
+use octobayes::splats::{Hits, SplatRenderer};
 
 use crate::common::ball::{ball, cameras};
 use crate::common::clock::{Clock, Time};
@@ -27,16 +28,17 @@ pub fn settings() -> String {
 /// What is timed.
 const PARTS: [(&str, Part); 5] = [
     ("prepare all views", |ball, views| {
-        views.iter().for_each(|view| drop(black_box(ball.prepare(view, Use::Colors))));
+        views.iter().for_each(|view| drop(black_box(ball.prepare(view, Outputs::Colors))));
         Ok(())
     }),
     ("the same with derivatives", |ball, views| {
-        views.iter().for_each(|view| drop(black_box(ball.prepare(view, Use::Derivatives))));
+        views.iter().for_each(|view| drop(black_box(ball.prepare(view, Outputs::Derivatives))));
         Ok(())
     }),
     ("the same, and the splats of a quarter of the pixels", hits),
     ("the samples of 4,096,000 rays", |ball, views| {
-        let stream = RaySettings::default().rays(RAYS).splat_stream(ball.splats(), views)?;
+        let lattice = Lattice::from_domain(domain(), LEVEL)?;
+        let stream = RaySettings::default().rays(RAYS).stream(ball.splats(), views, &lattice, &Silent)?;
         stream.run(Shard::whole(RAYS), RunProgress::default(), &Silent, |_, _| Ok(())).map(|_| ())
     }),
     ("a run of 4,096,000 rays", run),
@@ -59,11 +61,15 @@ pub fn table(work: &Work) -> Result<String> {
     Ok(table.text().into())
 }
 
+fn domain() -> Domain {
+    Domain::Box(Aabb::centered_cube(1.1))
+}
+
 /// The splats of every second pixel along x and y, by one thread.
 fn hits(ball: &SplatRenderer, views: &[Camera]) -> Result<()> {
     let (mut hits, mut count) = (Hits::default(), 0);
     for camera in views {
-        let view = ball.prepare(camera, Use::Derivatives);
+        let view = ball.prepare(camera, Outputs::Derivatives);
         for y in (0..camera.resolution[1]).step_by(2) {
             for x in (0..camera.resolution[0]).step_by(2) {
                 view.hits([x, y].map(|i| f64::from(i) + 0.5), &mut hits);
@@ -76,7 +82,7 @@ fn hits(ball: &SplatRenderer, views: &[Camera]) -> Result<()> {
 }
 
 fn run(ball: &SplatRenderer, views: &[Camera]) -> Result<()> {
-    let run = Estimation::of_splats(ball.splats(), views).domain(Domain::Box(Aabb::centered_cube(1.1)));
+    let run = Estimation::new(ball.splats(), views).domain(domain());
     let run = run.rays(RaySettings::default().rays(RAYS)).grid(GridSettings::default().level(LEVEL));
     black_box(run.run()?.progress.samples);
     Ok(())

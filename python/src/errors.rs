@@ -3,7 +3,7 @@
 use std::io::ErrorKind;
 
 use octobayes::Error;
-use octobayes::evaluate::Remark;
+use octobayes::monitor::Message;
 use octobayes::session::in_flags;
 use pyo3::exceptions::{
     PyFileNotFoundError, PyFloatingPointError, PyKeyboardInterrupt, PyOSError, PyPermissionError, PyValueError,
@@ -14,10 +14,10 @@ use pyo3::prelude::*;
 pub type Said = (String, bool);
 
 /// What a remark says, in Python's words.
-pub fn said(remark: Remark) -> Said {
+pub fn said(remark: Message) -> Said {
     match remark {
-        Remark::Note(text) => (in_arguments(&text), true),
-        Remark::Warning(text) => (in_arguments(&text), false),
+        Message::Note(text) => (in_arguments(&text), true),
+        Message::Warning(text) => (in_arguments(&text), false),
     }
 }
 

@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use numpy::PyReadonlyArray2;
-use octobayes::estimate::RaySettings;
+use octobayes::Error;
+use octobayes::estimate::{Model, RaySettings};
 use octobayes::export::{
     MeshSettings, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
 };
-use octobayes::field::RadianceField;
 use octobayes::geometry::Camera;
-use octobayes::uncertainty::{ThresholdedField, UncertaintyField};
+use octobayes::uncertainty::UncertaintyField;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -83,26 +83,21 @@ pub fn export_surfaces(
         cameras: &cameras,
     };
     let field = field.get().field.clone();
-    work(py, source.gate(nerf), progress, |engine| {
-        source.with(engine, |model| job.write(engine, model.volume("export")?, &field))
-    })
+    work(py, source.gate(nerf), progress, |engine| source.with(engine, |model| job.write(engine, model, &field)))
 }
 
 impl Job<'_> {
-    fn write(
-        self,
-        engine: &Engine,
-        model: &dyn RadianceField,
-        uncertainty: &UncertaintyField,
-    ) -> octobayes::Result<()> {
-        let cleaned = self.threshold.map(|threshold| ThresholdedField::new(model, uncertainty, threshold));
-        let shown: &dyn RadianceField = cleaned.as_ref().map_or(model, |cleaned| cleaned);
+    fn write(self, engine: &Engine, model: &dyn Model, uncertainty: &UncertaintyField) -> octobayes::Result<()> {
+        let part = self.threshold.map(|threshold| model.certain_part(uncertainty, threshold)).transpose()?.flatten();
+        let shown = part.as_deref().unwrap_or(model);
         if let Kind::Mesh(settings) = self.kind {
-            return write_mesh(&self.path, shown, uncertainty, settings, engine.monitor()).map(|_| ());
+            let refused = || Error::setting("mesh", "a volume, which has a density", model.kind());
+            let volume = shown.field().ok_or_else(refused)?;
+            return write_mesh(&self.path, volume, uncertainty, settings, engine.monitor()).map(|_| ());
         }
-        let tracer = self.settings.tracer(shown, 0.0, engine.monitor())?;
+        let renderer = shown.for_images(&self.settings, None, engine.monitor())?;
         let offset = self.settings.offset_for(shown);
-        let found = surfaces(&tracer, self.cameras, offset, self.pixels, engine.monitor())?;
+        let found = surfaces(&*renderer, self.cameras, offset, self.pixels, engine.monitor())?;
         match self.kind {
             Kind::Report { names } => write_report(&self.path, &found, &names, uncertainty),
             Kind::Points { ellipsoids } => {

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use octobayes::dataset::{DepthKind, Part, camera_file, passed_over};
-use octobayes::evaluate::{DepthFiles, Evaluation, Reading, Remark};
+use octobayes::evaluate::{DepthFiles, Evaluation, Reading};
+use octobayes::monitor::Message;
 use octobayes::session::CameraSource;
 use octobayes::uncertainty::UncertaintyField;
 use pyo3::prelude::*;
@@ -55,14 +56,14 @@ pub fn evaluate(
         source.with(engine, |model| {
             let mut texts = Vec::new();
             let mut tell = |remark| texts.push(said(remark));
-            passed_over(&folder, &cameras).into_iter().for_each(|text| tell(Remark::Note(text)));
+            passed_over(&folder, &cameras).into_iter().for_each(|text| tell(Message::Note(text)));
             let views = held_out.read(None, &mut tell)?;
             let evaluation = Evaluation {
                 model,
                 name,
                 settings,
                 readings: &readings,
-                ensemble: members.iter().filter_map(|(name, of)| Some((name.clone(), of.subject()?))).collect(),
+                ensemble: members.iter().filter_map(|(name, of)| Some((name.clone(), &*of.opened()?.model))).collect(),
                 cameras,
                 selection,
                 stride,

@@ -1,7 +1,6 @@
 //! A model that the library reads.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::Error;
@@ -23,7 +22,6 @@ const CHUNK: usize = 4096;
 #[derive(Clone)]
 pub struct Volume {
     pub opened: OpenedModel,
-    pub field: Arc<dyn RadianceField>,
 }
 
 impl Volume {
@@ -33,8 +31,13 @@ impl Volume {
     /// As [`OpenedModel::open`], or if the model is no volume.
     fn open(name: &str, coordinates: Option<Coordinates>) -> octobayes::Result<Self> {
         let opened = OpenedModel::open(name, coordinates, None)?;
-        let field = opened.volume()?.clone();
-        Ok(Self { opened, field })
+        opened.volume()?;
+        Ok(Self { opened })
+    }
+
+    /// The field.
+    pub fn field(&self) -> &dyn RadianceField {
+        self.opened.model.field().expect("a volume was opened")
     }
 }
 
@@ -101,7 +104,7 @@ impl Model {
             let parts = parts.zip(density.par_chunks_mut(CHUNK).zip(color.par_chunks_mut(CHUNK)));
             parts.for_each(|((x, d), (density, color))| {
                 let mut radiance = vec![Radiance::default(); x.len()];
-                self.0.field.evaluate(&vectors(x), &vectors(d), &mut radiance);
+                self.0.field().evaluate(&vectors(x), &vectors(d), &mut radiance);
                 for ((density, color), r) in density.iter_mut().zip(color).zip(radiance) {
                     (*density, *color) = (r.density, r.color.to_array());
                 }
@@ -116,7 +119,7 @@ impl Model {
         let mut density = vec![0.0; x.len()];
         without_python(py, || {
             let parts = x.par_chunks(CHUNK).zip(density.par_chunks_mut(CHUNK));
-            parts.for_each(|(x, out)| self.0.field.densities(&vectors(x), out));
+            parts.for_each(|(x, out)| self.0.field().densities(&vectors(x), out));
         })?;
         Ok(PyArray1::from_vec(py, density))
     }
@@ -128,8 +131,8 @@ impl Model {
         x: PyReadonlyArray2<'py, f32>,
         d: PyReadonlyArray2<'py, f32>,
     ) -> PyResult<(Array1<'py>, Array2<'py>, Array2<'py>, Array2<'py>)> {
-        let field = self.0.field.differentiable().ok_or_else(|| {
-            let found = format!("one that does not: {}", self.0.field.describe());
+        let field = self.0.field().differentiable().ok_or_else(|| {
+            let found = format!("one that does not: {}", self.0.field().describe());
             Error::setting("derivatives", "a model that differentiates itself", found)
         });
         let (field, x, d) = (field.or_raise()?, triples(&x)?, triples(&d)?);
@@ -162,7 +165,7 @@ impl Model {
         resolution: Option<[u32; 2]>,
     ) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         let intrinsics = Intrinsics { fov_x: fov.map(f64::to_radians), resolution };
-        let cameras = self.0.field.cameras(&intrinsics).or_raise()?;
+        let cameras = self.0.field().cameras(&intrinsics).or_raise()?;
         cameras
             .map(|all| PyArray1::from_vec(py, numbers(&all)).reshape([all.len(), crate::options::NUMBERS]))
             .transpose()
@@ -171,26 +174,26 @@ impl Model {
     /// True if the model computes its own derivatives.
     #[getter]
     fn is_differentiable(&self) -> bool {
-        self.0.field.differentiable().is_some()
+        self.0.field().differentiable().is_some()
     }
 
     /// Lower and upper corner of the box outside which the density is zero.
     #[getter]
     fn r#box(&self) -> [[f64; 3]; 2] {
-        let bounds = self.0.field.bounds();
+        let bounds = self.0.field().bounds();
         [bounds.min(), bounds.max()].map(|corner| corner.to_array())
     }
 
     /// Distance between samples along a ray that resolves the model, scene units.
     #[getter]
     fn step(&self) -> f64 {
-        self.0.field.suggested_step()
+        self.0.field().suggested_step()
     }
 
     /// Where in a pixel the training rays went.
     #[getter]
     fn pixel_offset(&self) -> f64 {
-        self.0.field.pixel_offset()
+        self.0.field().pixel_offset()
     }
 
     /// The name or file.
@@ -208,6 +211,6 @@ impl Model {
     /// One line: architecture and size.
     #[getter]
     fn description(&self) -> String {
-        self.0.field.describe()
+        self.0.field().describe()
     }
 }

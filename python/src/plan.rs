@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
-use octobayes::evaluate::Remark;
 use octobayes::glam::DVec3;
+use octobayes::monitor::Message;
 use octobayes::next_view::{Around, GainMap, Made, NextView, Report, Settings};
 use octobayes::session::Candidates;
 use pyo3::prelude::*;
@@ -60,7 +60,7 @@ pub fn next_view<'py>(
                 (Some(views), _) => (names, views),
                 (None, made) => {
                     let around = Around::like(&training, field.lattice().domain(), up)?;
-                    let (names, views, buried) = made.cameras(&around, &model, field.record().march_step);
+                    let (names, views, buried) = made.cameras(&around, model, field.record().march_step);
                     if buried > 0 {
                         let kind = made.kind();
                         texts.push((format!("{buried} cameras of {kind}= stand in matter and are left out"), true));
@@ -68,7 +68,7 @@ pub fn next_view<'py>(
                     (names, views)
                 }
             };
-            let next = NextView::of(model, &field, &views);
+            let next = NextView::new(model, &field, &views);
             let next = next.training(&training).settings(settings).monitor(engine.monitor());
             let ranking = next.run()?;
             let asked = Candidates {
@@ -81,7 +81,7 @@ pub fn next_view<'py>(
                 training: &training,
             };
             asked.remark(&ranking, &mut |remark| texts.push(said(remark)))?;
-            texts.extend(ranking.doubt().map(|doubt| said(Remark::Note(doubt))));
+            texts.extend(ranking.doubt().map(|doubt| said(Message::Note(doubt))));
             let first = ranking.steps.first().filter(|_| is_mapped);
             let map = first.map(|step| next.map(&views[step.index])).transpose()?;
             Ok((Report::new(&settings, &ranking, &names), views, map, texts))

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::dataset::{Frame, MaskFile, Part, ResolutionSource, Views, camera_file, passed_over};
-use octobayes::estimate::{Checkpoint, Goal, Subject};
-use octobayes::evaluate::{Remark, TrainingImages};
+use octobayes::estimate::{self, Checkpoint, Goal};
+use octobayes::evaluate::TrainingImages;
 use octobayes::geometry::{Camera, Mask};
 use octobayes::glam::Vec3;
+use octobayes::monitor::Message;
 use octobayes::session::{CameraSource, OpenedModel, Session};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -53,23 +54,14 @@ impl Source {
     }
 
     /// Calls `job` with the model.
-    pub fn with<T>(&self, engine: &Engine, job: impl FnOnce(Subject) -> T) -> T {
+    pub fn with<T>(&self, engine: &Engine, job: impl FnOnce(&dyn estimate::Model) -> T) -> T {
         match self {
-            Self::Rust(model) => job(Subject::Volume(&*model.field)),
-            Self::Splats(opened) => job(Subject::Splats(&opened.splats)),
+            Self::Rust(model) => job(&*model.opened.model),
+            Self::Splats(splats) => job(&*splats.opened.model),
             Self::Python(traits) => {
                 let field: PythonField = engine.field(traits.clone());
-                job(Subject::Volume(&field))
+                job(&field)
             }
-        }
-    }
-
-    /// The model, unless it is in Python.
-    pub fn subject(&self) -> Option<Subject<'_>> {
-        match self {
-            Self::Rust(model) => Some(Subject::Volume(&*model.field)),
-            Self::Splats(opened) => Some(Subject::Splats(&opened.splats)),
-            Self::Python(_) => None,
         }
     }
 
@@ -208,11 +200,11 @@ pub fn read_cameras<'py>(
     let from = CameraSource { file, fov, resolution, ..CameraSource::default() };
     let selection = options.selection()?;
     let model = model.map(|model| model.get().0.clone());
-    let mut texts: Vec<Said> = note.map(Remark::Note).map(said).into_iter().collect();
+    let mut texts: Vec<Said> = note.map(Message::Note).map(said).into_iter().collect();
     let (views, source) = py
         .detach(|| {
             let mut tell = |remark| texts.push(said(remark));
-            let model = model.as_ref().map(|model| (&*model.field, &*model.opened.name));
+            let model = model.as_ref().map(|model| (&*model.opened.model, &*model.opened.name));
             if every_frame {
                 return Ok((from.read(model, &mut tell)?, String::new()));
             }

@@ -1,11 +1,9 @@
 //! Gaussian splats as arrays, and as the model of a run.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use octobayes::export::{SeenSplats, write_splats};
-use octobayes::open::Model;
 use octobayes::session::OpenedModel;
 use octobayes::splats::{RenderMode, SplatRenderer, Splats as Gaussians};
 use octobayes::{Error, Result};
@@ -23,7 +21,13 @@ use crate::work::work;
 #[derive(Clone)]
 pub struct OpenedSplats {
     pub opened: OpenedModel,
-    pub splats: Arc<Gaussians>,
+}
+
+impl OpenedSplats {
+    /// The splats.
+    pub fn splats(&self) -> &Gaussians {
+        self.opened.model.splats().expect("splats were opened")
+    }
 }
 
 /// Gaussian splats in Rust.
@@ -32,15 +36,15 @@ pub struct Splats(pub OpenedSplats);
 
 fn open(name: &str, mode: Option<RenderMode>) -> Result<OpenedSplats> {
     let opened = OpenedModel::open(name, None, mode)?;
-    match opened.model.clone() {
-        Model::Splats(splats) => Ok(OpenedSplats { opened, splats }),
-        Model::Volume(_) => Err(Error::setting(format!("model `{name}`"), "Gaussian splats", "a volume")),
+    if opened.model.splats().is_none() {
+        return Err(Error::setting(format!("model `{name}`"), "Gaussian splats", opened.model.kind()));
     }
+    Ok(OpenedSplats { opened })
 }
 
 impl Splats {
     fn triples<'py>(&self, py: Python<'py>, of: impl Fn(usize) -> [f32; 3]) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let n = self.0.splats.len();
+        let n = self.0.splats().len();
         PyArray1::from_vec(py, (0..n).flat_map(of).collect()).reshape([n, 3])
     }
 }
@@ -75,27 +79,27 @@ impl Splats {
     }
 
     fn __len__(&self) -> usize {
-        self.0.splats.len()
+        self.0.splats().len()
     }
 
     /// Centres `[n, 3]`, scene units.
     #[getter]
     fn means<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        self.triples(py, |i| self.0.splats.mean(i).to_array())
+        self.triples(py, |i| self.0.splats().mean(i).to_array())
     }
 
     /// Standard deviations along each splat's own axes `[n, 3]`, scene units.
     #[getter]
     fn scales<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        self.triples(py, |i| self.0.splats.scale(i).to_array())
+        self.triples(py, |i| self.0.splats().scale(i).to_array())
     }
 
     /// Rotations from a splat's axes to the scene's `[n, 4]`: unit quaternions w, x, y, z.
     #[getter]
     fn rotations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let n = self.0.splats.len();
+        let n = self.0.splats().len();
         let of = |i: usize| {
-            let [x, y, z, w] = self.0.splats.rotation(i).to_array();
+            let [x, y, z, w] = self.0.splats().rotation(i).to_array();
             [w, x, y, z]
         };
         PyArray1::from_vec(py, (0..n).flat_map(of).collect()).reshape([n, 4])
@@ -104,33 +108,33 @@ impl Splats {
     /// Opacities at the centres `[n]`.
     #[getter]
     fn opacities<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        PyArray1::from_iter(py, (0..self.0.splats.len()).map(|i| self.0.splats.opacity(i)))
+        PyArray1::from_iter(py, (0..self.0.splats().len()).map(|i| self.0.splats().opacity(i)))
     }
 
     /// Spherical harmonics `[n, (degree + 1)², 3]`.
     #[getter]
     fn sh<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        let (n, degree) = (self.0.splats.len(), usize::from(self.0.splats.degree()));
-        let all = (0..n).flat_map(|i| self.0.splats.sh(i).to_vec()).collect();
+        let (n, degree) = (self.0.splats().len(), usize::from(self.0.splats().degree()));
+        let all = (0..n).flat_map(|i| self.0.splats().sh(i).to_vec()).collect();
         PyArray1::from_vec(py, all).reshape([n, (degree + 1) * (degree + 1), 3])
     }
 
     /// How small splats are drawn: "classic" or "mip".
     #[getter]
     fn mode(&self) -> String {
-        self.0.splats.mode().to_string()
+        self.0.splats().mode().to_string()
     }
 
     /// What a user should know of the file.
     #[getter]
     fn notes(&self) -> Vec<String> {
-        self.0.splats.notes().to_vec()
+        self.0.splats().notes().to_vec()
     }
 
     /// Lower and upper corner of the box of all centres.
     #[getter]
     fn r#box(&self) -> [[f64; 3]; 2] {
-        let bounds = self.0.splats.bounds();
+        let bounds = self.0.splats().bounds();
         [bounds.min(), bounds.max()].map(|corner| corner.to_array())
     }
 
@@ -149,7 +153,7 @@ impl Splats {
     /// One line: number, colours and mode.
     #[getter]
     fn description(&self) -> String {
-        self.0.splats.describe()
+        self.0.splats().describe()
     }
 }
 
@@ -165,11 +169,12 @@ pub fn seen_splats<'py>(
     options: &Bound<'py, PyDict>,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Seen<'py>> {
-    let (splats, rows, options) = (splats.get().0.splats.clone(), cameras(&rows)?, Options(options));
+    let (splats, rows, options) = (splats.get().0.clone(), cameras(&rows)?, Options(options));
     let (settings, pixels) = (image_settings(&options)?, options.or("pixels", 0)?);
     let seen = work(py, None, progress, |engine| {
-        let renderer = SplatRenderer::new(&splats, settings.background);
-        SeenSplats::measure(&renderer, &rows, settings.offset_for_splats(), pixels, engine.monitor())
+        let splats = splats.splats();
+        let renderer = SplatRenderer::new(splats, settings.background);
+        SeenSplats::measure(&renderer, &rows, settings.offset_for(splats), pixels, engine.monitor())
     })?;
     Ok((PyArray1::from_vec(py, seen.weights), PyArray1::from_vec(py, seen.views)))
 }
@@ -185,15 +190,16 @@ pub fn export_splats(
     options: &Bound<'_, PyDict>,
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<()> {
-    let (splats, field, options) = (splats.get().0.splats.clone(), field.get().field.clone(), Options(options));
+    let (splats, field, options) = (splats.get().0.clone(), field.get().field.clone(), Options(options));
     let rows = rows.map(|rows| cameras(&rows)).transpose()?;
     let (settings, pixels) = (image_settings(&options)?, options.or("pixels", 0)?);
     let threshold = options.get::<f64>("threshold")?;
     work(py, None, progress, |engine| {
-        let renderer = SplatRenderer::new(&splats, settings.background);
-        let offset = settings.offset_for_splats();
+        let splats = splats.splats();
+        let renderer = SplatRenderer::new(splats, settings.background);
+        let offset = settings.offset_for(splats);
         let measure = |rows: &Vec<_>| SeenSplats::measure(&renderer, rows, offset, pixels, engine.monitor());
         let seen = rows.as_ref().map(measure).transpose()?;
-        write_splats(&path, &splats, &*field, seen.as_ref(), threshold).map(|_| ())
+        write_splats(&path, splats, &*field, seen.as_ref(), threshold).map(|_| ())
     })
 }

@@ -1,12 +1,12 @@
 //! Pictures of a model and its uncertainty.
 
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
-use octobayes::estimate::{RaySettings, Subject};
-use octobayes::evaluate::{Reading, ShownModel, TrainingViews};
+use octobayes::estimate::{Model, RaySettings};
+use octobayes::evaluate::{Reading, TrainingViews};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Monitor;
-use octobayes::render::{DepthVariance, Pixel, Probe, RayAverage, RenderedView};
-use octobayes::uncertainty::{ThresholdedField, UncertaintyField, is_certain, shown_log10, unknowns};
+use octobayes::render::{DepthVariance, Pixel, Probe, RayAverage, RenderedView, Renderer};
+use octobayes::uncertainty::{UncertaintyField, shown_log10, unknowns};
 use octobayes::{Error, Result};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -53,24 +53,19 @@ pub fn render<'py>(
             let posterior = posterior.iter().map(|posterior| posterior as _).collect::<Vec<&dyn DepthVariance>>();
             let cut = field.as_deref().zip(threshold);
             let lattice = field.as_deref().filter(|_| depth_error).map(UncertaintyField::lattice);
-            let (cleaned, kept);
-            let shown = match (model, cut) {
-                (Subject::Volume(model), Some((field, threshold))) => {
-                    cleaned = ThresholdedField::new(model, field, threshold);
-                    Subject::Volume(&cleaned)
+            let part = cut.map(|(field, threshold)| model.certain_part(field, threshold)).transpose()?;
+            let part = match part {
+                Some(None) => {
+                    return Err(Error::setting("threshold", "one that leaves a part of the model", "none left"));
                 }
-                (Subject::Splats(splats), Some((field, threshold))) => {
-                    kept = splats.clone().keep(&is_certain(splats, field, threshold)?)?;
-                    Subject::Splats(&kept)
-                }
-                (whole, None) => whole,
+                part => part.flatten(),
             };
-            let shown = ShownModel::new(shown, &settings, lattice, engine.monitor())?;
-            let offset = settings.offset_of(model);
+            let shown = part.as_deref().unwrap_or(model).for_images(&settings, lattice, engine.monitor())?;
+            let offset = settings.offset_for(model);
             engine.monitor().begin("rows", u64::from(camera.resolution[1]));
-            let mut view = shown.renderer().image(&camera, offset, probes, &posterior, engine.monitor())?;
+            let mut view = shown.image(&camera, offset, probes, &posterior, engine.monitor())?;
             let confirmed = if confirm {
-                let training = training_views(model, &shown, offset, engine.monitor())?;
+                let training = training_views(model, &*shown, offset, engine.monitor())?;
                 Some(training.confirmed(&camera, offset, &view))
             } else {
                 None
@@ -98,16 +93,17 @@ pub fn render<'py>(
 }
 
 /// What the cameras that a model stores see of what is shown of it.
-fn training_views(model: Subject, shown: &ShownModel, offset: f64, monitor: &dyn Monitor) -> Result<TrainingViews> {
-    let known = match model {
-        Subject::Volume(model) => model.training_cameras(),
-        Subject::Splats(_) => &[],
-    };
-    if known.is_empty() {
+fn training_views(
+    model: &dyn Model,
+    shown: &dyn Renderer,
+    offset: f64,
+    monitor: &dyn Monitor,
+) -> Result<TrainingViews> {
+    let cameras: Vec<Camera> = model.training_cameras().iter().map(|named| named.camera).collect();
+    if cameras.is_empty() {
         return Err(Error::setting("confirm", "a model that stores its training cameras", "one that stores none"));
     }
-    let cameras: Vec<Camera> = known.iter().map(|named| named.camera).collect();
-    TrainingViews::render(shown.renderer(), &cameras, offset, monitor)
+    TrainingViews::render(shown, &cameras, offset, monitor)
 }
 
 /// The arrays of a view, f32; with the half width of a calibrated interval in deviations.

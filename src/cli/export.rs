@@ -10,17 +10,15 @@ use super::progress::Bars;
 use super::report;
 use super::streams::tell;
 use crate::dataset::{FrameSplit, Part, Selection, Views};
-use crate::estimate::RaySettings;
+use crate::estimate::{Model, RaySettings};
 use crate::export::{
     MeshSettings, SeenSplats, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points,
     write_report, write_splats,
 };
-use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain};
-use crate::open::Model;
+use crate::open;
 use crate::session::{OpenedModel, Threshold, image_settings};
 use crate::splats::{SplatRenderer, Splats};
-use crate::uncertainty::ThresholdedField;
 use crate::{Error, Result};
 
 /// Write a field for other tools: NumPy, ParaView, CloudCompare, Blender, spreadsheets, the official code
@@ -259,29 +257,29 @@ impl Args {
     fn with_model(&self, kind: Kind, model: &str, path: &Path, field: &OpenedField, bars: &Bars) -> Result<()> {
         let opened = OpenedModel::of_field(field.facts(), path, model, self.force, &mut tell)?;
         let settings = image_settings(field.facts());
-        let model = match &opened.model {
-            Model::Volume(model) => &**model,
-            Model::Splats(splats) => return self.of_splats(kind, splats, settings, field, bars),
-        };
+        if let Some(splats) = opened.model.splats() {
+            return self.of_splats(kind, splats, settings, field, bars);
+        }
+        let model = &*opened.model;
         let threshold = self.threshold.map(|threshold| threshold.log10(field.space(), &mut tell)).transpose()?;
-        let cleaned = threshold.map(|threshold| ThresholdedField::new(model, field.space(), threshold));
+        let part = threshold.map(|threshold| model.certain_part(field.space(), threshold)).transpose()?.flatten();
         if self.threshold.is_some() {
             // Reads every tile once, before any work: what cannot be read would count as removed.
             field.space().surface()?;
         }
-        let check = || cleaned.as_ref().map_or(Ok(()), ThresholdedField::check);
-        let shown: &dyn RadianceField = cleaned.as_ref().map_or(model, |cleaned| cleaned);
+        let shown = part.as_deref().unwrap_or(model);
         if kind == Kind::Mesh {
             let mesh = MeshSettings { resolution: self.cells, density: self.density };
-            let [vertices, triangles] = write_mesh(&self.output, shown, field.space(), mesh, bars)?;
-            check()?;
+            let volume = open::volume(shown, &opened.name)?;
+            let [vertices, triangles] = write_mesh(&self.output, volume, field.space(), mesh, bars)?;
+            shown.check()?;
             announce!("note: {vertices} vertices, {triangles} triangles");
             return Ok(());
         }
         let views = self.cameras.read(Some(model), &opened.name)?;
         CommandFiles::default().images(&views).output("--output", &self.output).check()?;
         let found = self.surfaces(settings, shown, &views, bars)?;
-        check()?;
+        shown.check()?;
         if kind == Kind::Report {
             let names: Vec<String> = views.frames.into_iter().map(|frame| frame.name).collect();
             return write_report(&self.output, &found, &names, field.space());
@@ -314,7 +312,7 @@ impl Args {
                 let frames = FrameSplit::new(views).select(Part::Training, &Selection::All, |_| true)?;
                 let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
                 let renderer = SplatRenderer::new(splats, settings.background);
-                Some(SeenSplats::measure(&renderer, &cameras, settings.offset_for_splats(), self.pixels, bars)?)
+                Some(SeenSplats::measure(&renderer, &cameras, settings.offset_for(splats), self.pixels, bars)?)
             }
             None => {
                 announce!("note: without --cameras, the columns weight and views are left out");
@@ -327,16 +325,10 @@ impl Args {
     }
 
     /// The surfaces that the cameras see.
-    fn surfaces(
-        &self,
-        settings: RaySettings,
-        shown: &dyn RadianceField,
-        views: &Views,
-        bars: &Bars,
-    ) -> Result<Surfaces> {
+    fn surfaces(&self, settings: RaySettings, shown: &dyn Model, views: &Views, bars: &Bars) -> Result<Surfaces> {
         let offset = settings.offset_for(shown);
-        let tracer = settings.tracer(shown, 0.0, bars)?;
+        let renderer = shown.for_images(&settings, None, bars)?;
         let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
-        surfaces(&tracer, &cameras, offset, self.pixels, bars)
+        surfaces(&*renderer, &cameras, offset, self.pixels, bars)
     }
 }

@@ -12,9 +12,9 @@ use super::options::{CameraOptions, FrameOptions, ModelArgument, count, heading,
 use super::progress::Bars;
 use super::streams::tell;
 use crate::dataset::{Part, Views, write_transforms};
-use crate::evaluate::Remark;
 use crate::geometry::Camera;
 use crate::io::{AtomicFile, write_exr};
+use crate::monitor::Message;
 use crate::next_view::{Around, Gain, GainMap, Made, NextView, Ranking, Report, Settings};
 use crate::picture::{Bar, scalar_panel, write_sheet};
 use crate::session::{self, CameraSource, OpenedModel};
@@ -176,13 +176,13 @@ impl Args {
         let candidates = self.candidates(&opened, &field, &training, &files)?;
         let settings = Settings::default().take(self.take as usize).gain(self.gain);
         let settings = settings.pixels(self.pixels).seed(self.seed);
-        let next = NextView::of(opened.model.subject(), &field, &candidates.cameras)
+        let next = NextView::new(&*opened.model, &field, &candidates.cameras)
             .training(&training)
             .settings(settings)
             .monitor(bars);
         let ranking = next.run()?;
         let asked = session::Candidates {
-            model: opened.model.subject(),
+            model: &*opened.model,
             model_name: &opened.name,
             field: &field,
             file: self.candidates.as_deref(),
@@ -192,7 +192,7 @@ impl Args {
         };
         asked.remark(&ranking, &mut tell)?;
         if let Some(doubt) = ranking.doubt() {
-            tell(Remark::Note(doubt));
+            tell(Message::Note(doubt));
         }
         let value = self.facts(&candidates, &settings, &ranking);
         self.write(&value, &candidates, &ranking)?;
@@ -209,7 +209,7 @@ impl Args {
 
     /// The training cameras, of --cameras or the model's own.
     fn training(&self, opened: &OpenedModel, files: &CommandFiles) -> Result<Vec<Camera>> {
-        let cameras = self.cameras.training(&FrameOptions { views: None }, opened.model.field(), &opened.name)?;
+        let cameras = self.cameras.training(&FrameOptions { views: None }, Some(&*opened.model), &opened.name)?;
         files.clone().images(&cameras.views).check()?;
         Ok(cameras.views.cameras())
     }
@@ -234,7 +234,7 @@ impl Args {
             (None, None, count) => Made::Orbit { count: count.unwrap_or(1) },
         };
         let around = Around::like(training, field.lattice().domain(), self.up)?;
-        let (names, cameras, buried) = made.cameras(&around, &opened.model.subject(), field.record().march_step);
+        let (names, cameras, buried) = made.cameras(&around, &*opened.model, field.record().march_step);
         if buried > 0 {
             announce!("note: {buried} cameras of --{} stand in matter and are left out", made.kind());
         }

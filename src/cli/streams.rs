@@ -5,7 +5,7 @@ use std::fmt::Arguments;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
-use crate::evaluate::Remark;
+use crate::monitor::Message;
 use crate::{Error, Result};
 
 /// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
@@ -28,10 +28,10 @@ pub fn announce(text: Arguments) {
 }
 
 /// Prints what a user should know to stderr.
-pub fn tell(remark: Remark) {
+pub fn tell(remark: Message) {
     match remark {
-        Remark::Note(text) => announce(format_args!("note: {text}")),
-        Remark::Warning(text) => announce(format_args!("warning: {text}")),
+        Message::Note(text) => announce(format_args!("note: {text}")),
+        Message::Warning(text) => announce(format_args!("warning: {text}")),
     }
 }
 

@@ -15,7 +15,7 @@ use crate::dataset::{Frame, FrameSplit, Part, Selection};
 use crate::export::{SeenSplats, surfaces};
 use crate::field::RadianceField;
 use crate::geometry::Camera;
-use crate::open::Model;
+use crate::render::VolumeRenderer;
 use crate::session::{OpenedModel, image_settings};
 use crate::splats::{SplatRenderer, Splats};
 use crate::uncertainty::UncertaintyField;
@@ -95,9 +95,9 @@ impl Args {
         self.files().check()?;
         let field = OpenedField::open(&self.field)?.whole()?;
         let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
-        let said = match &opened.model {
-            Model::Volume(model) => self.of_volume(&**model, &opened.name, &field, bars)?,
-            Model::Splats(splats) => self.of_splats(splats, &opened.name, &field, bars)?,
+        let said = match opened.model.splats() {
+            Some(splats) => self.of_splats(splats, &opened.name, &field, bars)?,
+            None => self.of_volume(opened.volume()?, &opened.name, &field, bars)?,
         };
         say!("{}: {said}", self.output.display())
     }
@@ -120,13 +120,14 @@ impl Args {
         bars: &Bars,
     ) -> Result<String> {
         let settings = image_settings(field);
-        let views = self.cameras.read(Some(model), name)?;
+        let views = self.cameras.read(Some(&model), name)?;
         self.files().images(&views).check()?;
-        let offset = settings.offset_for(model);
-        let tracer = settings.tracer(model, 0.0, bars)?;
+        let offset = settings.offset_for(&model);
+        let volume = VolumeRenderer { tracer: settings.tracer(model, 0.0, bars)?, differentiation: None };
+        let tracer = &volume.tracer;
         let surface: Vec<Vec3> = if field.surface().is_empty() {
             let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
-            surfaces(&tracer, &cameras, offset, PIXELS, bars)?.positions
+            surfaces(&volume, &cameras, offset, PIXELS, bars)?.positions
         } else {
             stored_surface(field)
         };
@@ -139,7 +140,7 @@ impl Args {
             range: bar_of(field, self.range)?,
             title: &title(name),
         };
-        let view = VolumeView { model, tracer: &tracer, page };
+        let view = VolumeView { model, tracer, page };
         let (cells, budget) = self.cells.map_or((MAX_DEFAULT_CELLS, MAX_DEFAULT_BYTES), |cells| (cells, usize::MAX));
         let ShownVolume { cells, bytes, bricks } = write_volume(&self.output, &view, cells, budget, bars)?;
         let bytes = report::bytes(bytes);
@@ -153,7 +154,7 @@ impl Args {
             return Err(Error::setting("--cells", expected, format!("{cells} for splats")));
         }
         let settings = image_settings(field);
-        let offset = settings.offset_for_splats();
+        let offset = settings.offset_for(splats);
         let frames = self.training_frames()?;
         let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
         let renderer = SplatRenderer::new(splats, settings.background);

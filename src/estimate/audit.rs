@@ -9,12 +9,12 @@
 use rayon::prelude::*;
 
 use super::builder::{Builder, Finish};
-use super::{Estimation, GridSettings, RaySettings, SamplingError};
-use crate::Result;
+use super::{Estimation, Feature, GridSettings, RaySettings, SamplingError, require};
 use crate::geometry::Lattice;
 use crate::rays::{RayStream, RunProgress, Shard};
 use crate::render::GradientMethod;
 use crate::uncertainty::MOVED;
+use crate::{Error, Result};
 
 /// Effect of the approximations on log10 U, at vertices that the audited rays moved by more than half a decade.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
@@ -55,8 +55,11 @@ impl Audit {
 
     /// Audits a run whose rays are those of `stream`, on `lattice`.
     pub(super) fn measure<P: Finish>(run: &Estimation, stream: &RayStream, lattice: &Lattice) -> Result<Self> {
-        let Estimation { subject, domain, rays, monitor, .. } = run;
-        let field = subject.volume("audit of samples and derivatives")?;
+        let Estimation { model, domain, rays, monitor, .. } = run;
+        require(*model, Feature::March, "audit")?;
+        let Some(field) = stream.source.marched().map(|volume| volume.tracer.field) else {
+            return Err(Error::setting("audit", "rays that are marched", model.kind()));
+        };
         let count = rays.rays.min(Self::RAYS);
         let grid = GridSettings { memory: None, ..run.grid };
         let sums_of = |stream: &RayStream| {

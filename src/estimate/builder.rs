@@ -11,8 +11,8 @@ use super::{GridKind, GridSettings, Plan, Summed};
 use crate::geometry::{Domain, Lattice};
 use crate::octree::{Cell, MaxLevels, Octree, Tile, morton};
 use crate::posterior::{DensePosterior, OctreePosterior, Posterior, RayCoverage, Refinement, Sums, VertexSums};
-use crate::rays::{RaySet, RayStream, RunProgress, SURFACE_WEIGHT, Shard, VolumeRays};
-use crate::render::RaySamples;
+use crate::rays::{RaySet, RayStream, RunProgress, SURFACE_WEIGHT, Shard};
+use crate::render::{RaySamples, VolumeRenderer};
 use crate::uncertainty::{RunRecord, Support, UncertaintyField};
 use crate::{Error, Result};
 
@@ -121,8 +121,8 @@ impl<P: Finish> Builder<P> {
         if !self.settings.criteria.density {
             return Ok(());
         }
-        let Some(VolumeRays { tracer, .. }) = stream.source.volume() else {
-            return Err(Error::setting("criterion `density`", "a volume, which has a density", "splats"));
+        let Some(VolumeRenderer { tracer, .. }) = stream.source.marched() else {
+            return Err(Error::setting("criterion `density`", "a volume, which has a density", "another model"));
         };
         let Some(occupancy) = &tracer.marcher.occupancy else {
             return Err(Error::setting("criterion `density`", "a cutoff above 0, which makes an occupancy grid", "0"));
@@ -175,7 +175,7 @@ impl<P: Finish> Builder<P> {
     /// The description of a run of `shard` of the rays of `stream`, which a resumed run must match. `source` names the
     /// model, whatever its path; `occupancy` are the cells per axis of the occupancy grid.
     pub fn run_key(&self, source: String, shard: Shard, stream: &RayStream, occupancy: usize) -> RunKey {
-        let marcher = stream.source.volume().map(|volume| &volume.tracer.marcher);
+        let marcher = stream.source.marched().map(|volume| &volume.tracer.marcher);
         RunKey {
             version: env!("CARGO_PKG_VERSION").into(),
             source,
@@ -186,10 +186,10 @@ impl<P: Finish> Builder<P> {
             seed: stream.pixels.seed(),
             march_step: marcher.map_or(0.0, |marcher| marcher.step),
             gradient: stream.source.method(),
-            difference_step: stream.source.step().to_array(),
+            difference_step: stream.source.marched().map_or([0.0; 3], |volume| volume.difference_step().to_array()),
             cutoff: marcher.map_or(0.0, |marcher| marcher.cutoff),
             occupancy: occupancy as u64,
-            background: stream.source.background(),
+            background: stream.source.background().as_vec3().to_array(),
             pixel_offset: stream.pixel_offset,
             rays_per_vertex: self.rays_per_vertex,
             limits: crc32fast::hash(format!("{:?}", self.limits.packed()).as_bytes()),
@@ -247,7 +247,7 @@ impl<P: Finish> Builder<P> {
     /// How the rays so far were drawn and summed.
     fn record(&self, source: &FieldSource) -> RunRecord {
         let (settings, stream) = (&self.settings, source.stream);
-        let volume = stream.and_then(|stream| stream.source.volume());
+        let volume = stream.and_then(|stream| stream.source.marched());
         RunRecord {
             version: env!("CARGO_PKG_VERSION").into(),
             source: source.source.clone(),
@@ -267,9 +267,9 @@ impl<P: Finish> Builder<P> {
             tolerance: if settings.grid == GridKind::Dense { 0.0 } else { settings.tolerance },
             march_step: volume.map(|volume| volume.tracer.marcher.step),
             gradient: stream.map(|s| s.source.method()),
-            difference_step: volume.and_then(|volume| volume.differentiation.difference_step()),
+            difference_step: volume.and_then(|volume| volume.differentiation?.difference_step()),
             cutoff: volume.map(|volume| volume.tracer.marcher.cutoff),
-            background: stream.map(|s| s.source.background()),
+            background: stream.map(|s| s.source.background().as_vec3().to_array()),
             pixel_offset: stream.map(|s| s.pixel_offset),
         }
     }

@@ -1,12 +1,10 @@
 //! The settings of a run.
 
-use super::{Checkpoint, GridSettings, RaySettings};
-use crate::field::RadianceField;
+use super::{Checkpoint, Feature, GridSettings, Model, RaySettings, require};
 use crate::geometry::{Camera, Domain, Lattice, Mask};
 use crate::monitor::{Monitor, Silent};
 use crate::rays::{Pixels, RayStream, Shard};
 use crate::render::RaySamples;
-use crate::splats::Splats;
 use crate::{Error, Result};
 
 /// The rays that a run draws, and when it ends.
@@ -55,28 +53,6 @@ impl Goal {
     }
 }
 
-/// The model that a run is about.
-#[derive(Clone, Copy)]
-pub enum Subject<'a> {
-    /// Density and colour at points.
-    Volume(&'a dyn RadianceField),
-    /// Gaussian splats.
-    Splats(&'a Splats),
-}
-
-impl Subject<'_> {
-    /// The volume.
-    ///
-    /// # Errors
-    /// If it is splats, to which `what` does not apply.
-    pub fn volume(&self, what: &str) -> Result<&dyn RadianceField> {
-        match self {
-            Self::Volume(field) => Ok(*field),
-            Self::Splats(_) => Err(Error::setting(what, "a volume, whose rays are marched", "splats")),
-        }
-    }
-}
-
 /// Receives a run's samples as they are drawn.
 pub(super) type Tap<'a> = Box<dyn FnMut(&[RaySamples]) -> Result<()> + 'a>;
 
@@ -107,7 +83,7 @@ pub(super) type Tap<'a> = Box<dyn FnMut(&[RaySamples]) -> Result<()> + 'a>;
 /// ```
 #[must_use]
 pub struct Estimation<'a> {
-    pub(super) subject: Subject<'a>,
+    pub(super) model: &'a dyn Model,
     pub(super) cameras: &'a [Camera],
     pub(super) masks: &'a [Option<Mask>],
     pub(super) domain: Domain,
@@ -117,7 +93,7 @@ pub struct Estimation<'a> {
     pub(super) checkpoint: Option<Checkpoint>,
     pub(super) source: String,
     /// Checksum of the model's content, if known.
-    pub(super) model: Option<u32>,
+    pub(super) checksum: Option<u32>,
     /// Bytes that decoding the largest picture takes.
     pub(super) picture: u64,
     pub(super) monitor: &'a dyn Monitor,
@@ -125,33 +101,22 @@ pub struct Estimation<'a> {
 }
 
 impl<'a> Estimation<'a> {
-    /// Creates a run for the uncertainty of `field` given its training `cameras`, over the field's own box.
-    pub fn new(field: &'a dyn RadianceField, cameras: &'a [Camera]) -> Self {
-        Self::about(Subject::Volume(field), cameras, Domain::Box(field.bounds()), field.describe())
-    }
-
-    /// Creates a run for the uncertainty of `splats` given their training `cameras`, over the box of all centres.
+    /// Creates a run for the uncertainty of `model` given its training `cameras`, over the model's own box.
     ///
-    /// [`seen_domain`](crate::splats::seen_domain) is a better choice where stray splats lie far away. What only
-    /// volumes have is refused: a march step, finite differences, a cutoff, the criterion `density`, an audit. So are
-    /// a memory budget and a run to a mean error, which expect the first rays to be like the others: rays of splats are
-    /// drawn camera by camera.
-    pub fn of_splats(splats: &'a Splats, cameras: &'a [Camera]) -> Self {
-        Self::about(Subject::Splats(splats), cameras, Domain::Box(splats.bounds()), splats.describe())
-    }
-
-    fn about(subject: Subject<'a>, cameras: &'a [Camera], domain: Domain, source: String) -> Self {
+    /// For splats, [`seen_domain`](crate::splats::seen_domain) is a better choice where strays lie far away. What a
+    /// model [lacks](Model::lacks) is refused.
+    pub fn new(model: &'a dyn Model, cameras: &'a [Camera]) -> Self {
         Self {
-            subject,
+            model,
             cameras,
             masks: &[],
-            domain,
+            domain: Domain::Box(model.whole_box()),
             rays: RaySettings::default(),
             grid: GridSettings::default(),
             goal: Goal::default(),
             checkpoint: None,
-            source,
-            model: None,
+            source: model.describe(),
+            checksum: None,
             picture: 0,
             monitor: &Silent,
             tap: None,
@@ -214,8 +179,8 @@ impl<'a> Estimation<'a> {
 
     /// Sets a checksum of the model's content ([`open::checksum`](crate::open::checksum)). Results are matched by
     /// this checksum instead of a name.
-    pub fn model(self, checksum: u32) -> Self {
-        Self { model: Some(checksum), ..self }
+    pub fn checksum(self, checksum: u32) -> Self {
+        Self { checksum: Some(checksum), ..self }
     }
 
     /// Sets the bytes that decoding a picture takes before the first ray, one picture at a time. A plan foresees them,
@@ -236,11 +201,7 @@ impl<'a> Estimation<'a> {
 
     /// The stream of training rays by these settings, differentiated for `lattice`.
     pub(super) fn stream(&self, rays: &RaySettings, lattice: &Lattice) -> Result<RayStream<'a>> {
-        let stream = match self.subject {
-            Subject::Volume(field) => rays.stream(field, self.cameras, lattice, self.monitor),
-            Subject::Splats(splats) => rays.splat_stream(splats, self.cameras),
-        };
-        stream?.with_masks(self.masks)
+        rays.stream(self.model, self.cameras, lattice, self.monitor)?.with_masks(self.masks)
     }
 
     /// The rays of the goal, if it draws one fixed set of them.
@@ -253,7 +214,7 @@ impl<'a> Estimation<'a> {
 
     /// Identifies the model in a checkpoint: by its content if that is known, not by its path.
     pub(super) fn key_source(&self) -> String {
-        self.model.map_or_else(|| self.source.clone(), |checksum| format!("model {checksum:08x}"))
+        self.checksum.map_or_else(|| self.source.clone(), |checksum| format!("model {checksum:08x}"))
     }
 
     /// Rejects incompatible settings before any work is done.
@@ -261,16 +222,14 @@ impl<'a> Estimation<'a> {
         if self.cameras.is_empty() {
             return Err(Error::setting("cameras", "at least one", "none"));
         }
-        if let Subject::Splats(_) = self.subject {
-            let in_order = "a volume: rays of splats are drawn camera by camera, so that the first tell little";
-            let refused = [
-                (matches!(self.goal, Goal::MeanError(_)), "run to a mean error", in_order),
-                (self.grid.memory.is_some(), "memory budget", in_order),
-                (self.grid.criteria.density, "criterion `density`", "a volume, which has a density"),
-                (self.grid.pooling.is_on(), "pooling", "a volume: splats are smooth, and pooling would only smear"),
-            ];
-            if let Some((_, what, expected)) = refused.into_iter().find(|(is_set, ..)| *is_set) {
-                return Err(Error::setting(what, expected, "splats"));
+        for (is_set, feature, what) in [
+            (matches!(self.goal, Goal::MeanError(_)), Feature::AnyOrder, "run to a mean error"),
+            (self.grid.memory.is_some(), Feature::AnyOrder, "memory budget"),
+            (self.grid.criteria.density, Feature::Density, "criterion `density`"),
+            (self.grid.pooling.is_on(), Feature::Pooling, "pooling"),
+        ] {
+            if is_set {
+                require(self.model, feature, what)?;
             }
         }
         if self.grid.pooling.is_on() && self.rays.pixels == Pixels::Every {

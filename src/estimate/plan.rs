@@ -18,7 +18,7 @@ use crate::monitor::Monitor;
 use crate::octree::{MaxLevels, Tile};
 use crate::posterior::{DensePosterior, FactoredSums, PilotCounts, SpeciesEstimate, VertexSums, list_bytes};
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
-use crate::splats::Use;
+use crate::render::Outputs;
 use crate::{Error, Result};
 
 /// Bytes per vertex of deviation and ray count, in memory and in the file.
@@ -125,10 +125,12 @@ struct Preparing {
 
 impl Preparing {
     fn measure(pilot: &RayStream) -> Option<Self> {
-        let splats = pilot.source.splats()?;
+        if pilot.source.marched().is_some() {
+            return None;
+        }
         let timed = |_| {
             let start = Instant::now();
-            drop(splats.prepare(&pilot.cameras[pilot.cameras.len() / 2], Use::Derivatives));
+            drop(pilot.source.view(&pilot.cameras[pilot.cameras.len() / 2], Outputs::Derivatives));
             start.elapsed()
         };
         // The first one finds nothing in the cache.

@@ -51,7 +51,7 @@ impl PositionCheck {
     ) -> Result<Self> {
         let mut found = Self::of_box(lattice, &stream.source.bounds());
         // Splats are where they are: they have no density that changes between two positions.
-        let Some(volume) = stream.source.volume().filter(|_| !found.is_bad && found.edges >= FINE) else {
+        let Some(volume) = stream.source.marched().filter(|_| !found.is_bad && found.edges >= FINE) else {
             return Ok(found);
         };
         let field = volume.tracer.field;

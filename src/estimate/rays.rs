@@ -3,13 +3,14 @@
 use derive_setters::Setters;
 use glam::{DVec3, Vec3};
 
-use super::{PositionCheck, Subject};
+use super::{Model, PositionCheck};
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::Monitor;
-use crate::rays::{MOST_SAMPLES, PixelSequence, Pixels, RaySource, RayStream, VolumeRays};
-use crate::render::{Differences, Differentiation, GradientMethod, LONGEST_STEP, Marcher, Occupancy, Stencil, Tracer};
-use crate::splats::{SplatRenderer, Splats};
+use crate::rays::{MOST_SAMPLES, PixelSequence, Pixels, RayStream};
+use crate::render::{
+    Differences, Differentiation, GradientMethod, LONGEST_STEP, Marcher, Occupancy, Stencil, Tracer, VolumeRenderer,
+};
 use crate::{Error, Result};
 
 /// Finite-difference step in lattice edges, unless f32 positions need more.
@@ -121,43 +122,36 @@ impl RaySettings {
         Self { cutoff: 1e-4, gradient: GradientMethod::Auto, ..Self::default() }
     }
 
-    /// Position in a pixel that its ray passes through, 0 to 1 along x and y: the field's own, if none is set.
+    /// Position in a pixel that its ray passes through, 0 to 1 along x and y: the model's own, if none is set.
     #[must_use]
-    pub fn offset_for(&self, field: &dyn RadianceField) -> f64 {
-        self.pixel_offset.unwrap_or_else(|| field.pixel_offset())
+    pub fn offset_for(&self, model: &dyn Model) -> f64 {
+        self.pixel_offset.unwrap_or_else(|| model.pixel_offset())
     }
 
-    /// The same through splats: the centre, if none is set.
-    #[must_use]
-    pub fn offset_for_splats(&self) -> f64 {
-        self.pixel_offset.unwrap_or(0.5)
-    }
-
-    /// [`RaySettings::offset_for`] or [`RaySettings::offset_for_splats`].
-    #[must_use]
-    pub fn offset_of(&self, model: Subject) -> f64 {
-        match model {
-            Subject::Volume(field) => self.offset_for(field),
-            Subject::Splats(_) => self.offset_for_splats(),
-        }
-    }
-
-    /// The stream of rays from `cameras` through `field`, differentiated for `lattice`.
+    /// The stream of rays from `cameras` through `model`, differentiated for `lattice`.
     ///
     /// # Errors
-    /// If the field does not provide the requested derivatives, if the spacing of f32 positions exceeds the
-    /// finite-difference step, or [`Error::Interrupted`].
+    /// If a setting does not apply to the model or is out of range, if the model cannot render a camera or does not
+    /// provide the requested derivatives, if the spacing of f32 positions exceeds the finite-difference step, or
+    /// [`Error::Interrupted`].
     pub fn stream<'a>(
         &self,
-        field: &'a dyn RadianceField,
+        model: &'a dyn Model,
         cameras: &'a [Camera],
         lattice: &Lattice,
         monitor: &dyn Monitor,
     ) -> Result<RayStream<'a>> {
+        model.check_settings(self)?;
+        let pixel_offset = self.offset_for(model);
+        if !(0.0..=1.0).contains(&pixel_offset) {
+            return Err(Error::setting("pixel offset", "a number from 0 to 1", format!("{pixel_offset:e}")));
+        }
+        let source = model.for_rays(self, lattice, monitor)?;
+        cameras.iter().try_for_each(|camera| model.check_camera(camera))?;
         Ok(RayStream {
-            source: RaySource::Volume(Box::new(self.volume(field, lattice, monitor)?)),
+            source,
             cameras,
-            pixel_offset: self.offset_for(field),
+            pixel_offset,
             reach: None,
             pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
         })
@@ -173,7 +167,7 @@ impl RaySettings {
         field: &'a dyn RadianceField,
         lattice: &Lattice,
         monitor: &dyn Monitor,
-    ) -> Result<VolumeRays<'a>> {
+    ) -> Result<VolumeRenderer<'a>> {
         let differentiation = self.differentiation(field, lattice)?;
         // h is largest at the corner of the field's box that is farthest from the contraction's centre.
         let bounds = field.bounds();
@@ -183,45 +177,11 @@ impl RaySettings {
         let differences = &differentiation.differences;
         let farthest = (0..8).map(|c| differences.reach(corner(c).as_vec3())).fold(DVec3::ZERO, DVec3::max);
         let tracer = self.tracer(field, farthest.max_element(), monitor)?;
-        Ok(VolumeRays { tracer, differentiation })
+        Ok(VolumeRenderer { tracer, differentiation: Some(differentiation) })
     }
 }
 
 impl RaySettings {
-    /// The stream of rays from `cameras` through `splats`. Their images are differentiated exactly, splat by splat.
-    ///
-    /// # Errors
-    /// If a setting is that of a volume (march step, derivatives, finite-difference step, cutoff, occupancy grid), if
-    /// pixels are drawn at random, a lens distorts, or the pixel offset is no share.
-    pub fn splat_stream<'a>(&self, splats: &'a Splats, cameras: &'a [Camera]) -> Result<RayStream<'a>> {
-        let defaults = Self::default();
-        // `auto` asks for own derivatives, and splats have no others.
-        let is_open = self.gradient == defaults.gradient || self.gradient == GradientMethod::Auto;
-        let of_volumes = [
-            ("march step", self.march_step.map(|step| format!("{step:e}"))),
-            ("finite-difference step", self.step.map(|step| format!("{step:e}"))),
-            ("gradient", (!is_open).then(|| format!("{:?}", self.gradient))),
-            ("cutoff", (self.cutoff != defaults.cutoff).then(|| format!("{:e}", self.cutoff))),
-            ("occupancy", (self.occupancy != defaults.occupancy).then(|| self.occupancy.to_string())),
-            ("pixels", (self.pixels == Pixels::Random).then(|| format!("{:?}", self.pixels))),
-        ];
-        if let Some((what, found)) = of_volumes.into_iter().find_map(|(what, found)| Some((what, found?))) {
-            return Err(Error::setting(what, "no value for splats, to which it does not apply", found));
-        }
-        let pixel_offset = self.offset_for_splats();
-        if !(0.0..=1.0).contains(&pixel_offset) {
-            return Err(Error::setting("pixel offset", "a number from 0 to 1", format!("{pixel_offset:e}")));
-        }
-        SplatRenderer::check_cameras(cameras)?;
-        Ok(RayStream {
-            source: RaySource::Splats(SplatRenderer::new(splats, self.background)),
-            cameras,
-            pixel_offset,
-            reach: None,
-            pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
-        })
-    }
-
     /// How `field` is differentiated for `lattice`.
     ///
     /// # Errors

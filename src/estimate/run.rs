@@ -109,7 +109,7 @@ impl<'a> Run<'a> {
         }
         // The pilot and all that is measured see all of space; the rays of the run need only reach the tile.
         // What a ray of splats adds is where their centres are, beside the ray.
-        run.stream.reach = run.reach().filter(|_| run.stream.source.volume().is_some());
+        run.stream.reach = run.reach().filter(|_| run.stream.source.marched().is_some());
         Ok(run)
     }
 
@@ -380,7 +380,7 @@ impl<'a> Run<'a> {
 
     fn outcome(&self, field: UncertaintyField, progress: RunProgress, sums_bytes: usize, summing: Duration) -> Outcome {
         let field = field.with_surface(self.surface.clone());
-        let field = self.settings.model.iter().fold(field, |field, &checksum| field.with_model(checksum));
+        let field = self.settings.checksum.iter().fold(field, |field, &checksum| field.with_model(checksum));
         let plan = self.limits.plan.clone().filter(|_| self.settings.grid.grid == GridKind::Octree);
         let (errors, is_replanned) = (ErrorBudget::of_field(&field), self.limits.is_replanned);
         Outcome { field, progress, sums_bytes, summing, plan, is_replanned, errors }

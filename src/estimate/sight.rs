@@ -4,28 +4,25 @@
 //! "never seen" everywhere. A few thousand rays detect this: [`Framing`] by geometry alone, [`CoverageCheck`] by
 //! tracing them.
 
-use rayon::prelude::*;
+use std::ops::Range;
 
 use super::framing::{self, Framing, LARGE_SHARE, RAYS, SMALL_SHARE, View, WORLD_TO_CAMERA, views};
 use crate::Result;
-use crate::geometry::{Camera, Domain, Ray, inverted};
-use crate::monitor::{Monitor, check};
-use crate::rays::{RaySource, RayStream, SURFACE_WEIGHT};
-use crate::render::{CompositingWeights, TraceBuffers, Tracer};
-use crate::splats::{Hit, Hits, SplatRenderer, Use};
+use crate::geometry::{Camera, Domain, inverted};
+use crate::monitor::Monitor;
+use crate::rays::{RayStream, SURFACE_WEIGHT};
+use crate::render::{INSIDE_MATTER_SAMPLES, Renderer, WeightedSamples};
 
 /// Factor by which rays are increased before a run reports that nothing is seen. A fraction of 10⁻⁴
 /// is then missed once in 26 runs.
 const MAX_RETRY_FACTOR: usize = 8;
-/// A camera is inside matter if half the light of half its rays is lost within this many samples.
-const INSIDE_MATTER_SAMPLES: f64 = 4.0;
 /// Warn when more than this share of the rays' weight lies outside the domain.
 const MIN_OUTSIDE_SHARE: f64 = 0.01;
 /// A model is fog if no ray is more opaque than this, and no density is above 1.
 const OPAQUE: f64 = 0.95;
 
-/// Most cameras that look at splats, each of whose views has to be prepared.
-const SPLAT_VIEWS: usize = 16;
+/// Most cameras that are looked through, if each of their views has to be prepared.
+const PREPARED_VIEWS: usize = 16;
 
 /// What cameras see of a field.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
@@ -93,31 +90,26 @@ impl CoverageCheck {
         monitor: &dyn Monitor,
     ) -> Result<Self> {
         let views = views(cameras, rays, stream.pixel_offset);
-        let seen = match &stream.source {
-            RaySource::Volume(volume) => {
-                let tracer = &volume.tracer;
-                // A field that wants many points at once sees all views as one.
-                let each = if tracer.field.batch() > 0 { views.len().max(1) } else { 1 };
-                let seen = views.par_chunks(each).map_init(TraceBuffers::default, |buffers, views| {
-                    check(monitor)?;
-                    Ok(seen(views, tracer, domain, buffers))
-                });
-                seen.collect::<Result<Vec<_>>>()?.concat()
-            }
-            RaySource::Splats(splats) => {
-                let few: Vec<Camera> = (0..cameras.len().min(SPLAT_VIEWS))
-                    .map(|i| cameras[i * cameras.len() / cameras.len().min(SPLAT_VIEWS)])
-                    .collect();
-                let few = framing::views(&few, rays, stream.pixel_offset);
-                let seen = few.iter().map(|view| check(monitor).map(|()| seen_splats(view, splats, domain)));
-                seen.collect::<Result<_>>()?
+        let source = &*stream.source;
+        // Each view of a model that is not marched has to be prepared.
+        let few: Vec<Camera> = match source.marched() {
+            Some(_) => cameras.to_vec(),
+            None => {
+                let used = cameras.len().min(PREPARED_VIEWS);
+                (0..used).map(|i| cameras[i * cameras.len() / used]).collect()
             }
         };
-        let bounds = match &stream.source {
-            // Stray splats lie far from the others.
-            RaySource::Splats(splats) => splats.splats().main_box(),
-            RaySource::Volume(_) => stream.source.bounds(),
+        let looked = framing::views(&few, rays, stream.pixel_offset);
+        let points: Vec<_> = looked.iter().map(|view| (view.camera, view.points.clone())).collect();
+        let samples = source.weighted(&points, monitor)?;
+        let mut first = 0;
+        let of_view = |view: &View| {
+            let rays = first..first + view.points.len();
+            first = rays.end;
+            seen(view, rays, &samples, source, domain)
         };
+        let seen: Vec<Seen> = looked.iter().map(of_view).collect();
+        let bounds = source.main_box();
         let mean = |of: &dyn Fn(&Seen) -> f64| seen.iter().map(of).sum::<f64>() / seen.len().max(1) as f64;
         Ok(Self {
             framing: Framing::from_views(&views, &bounds),
@@ -200,70 +192,33 @@ impl CoverageCheck {
     }
 }
 
-fn seen<'b>(views: &[View], tracer: &'b Tracer, domain: &Domain, buffers: &mut TraceBuffers<'b>) -> Vec<Seen> {
-    let rays: Vec<Ray> = views.iter().flat_map(|view| &view.rays).copied().collect();
-    tracer.trace(&rays, &vec![0.5; rays.len()], buffers);
-    let traced = &buffers.traced;
-    let mut quadrature = CompositingWeights::default();
-    quadrature.set(traced, tracer.marcher.step);
-    let mut first = 0;
-    let of_view = |view: &View| {
-        let rays = first..first + view.rays.len();
-        first = rays.end;
-        let (mut matter, mut within, mut near, mut dropped) = (0_usize, 0_usize, 0_usize, 0_u64);
-        let (mut weight, mut outside, mut most_opaque, mut densest) = (0.0, 0.0, 0.0_f64, 0.0_f64);
-        for ray in rays {
-            let sum = |keep: &dyn Fn(usize) -> bool| -> f64 {
-                traced.samples(ray).filter(|&i| keep(i)).map(|i| quadrature.weights[i]).sum()
-            };
-            let least = f64::from(SURFACE_WEIGHT);
-            let opacity = sum(&|_| true);
-            let inside = sum(&|i| domain.to_unit(traced.positions[i]).is_some());
-            matter += usize::from(opacity >= least);
-            within += usize::from(inside >= least);
-            near += usize::from(sum(&|i| traced.t[i] <= INSIDE_MATTER_SAMPLES * tracer.marcher.step) >= 0.5);
-            dropped += u64::from(traced.is_dropped[ray]);
-            weight += opacity;
-            outside += opacity - inside;
-            most_opaque = most_opaque.max(opacity);
-            densest = traced.samples(ray).map(|i| f64::from(traced.densities[i])).fold(densest, f64::max);
-        }
-        let [matter, within] = [matter, within].map(|count| count as f64 / view.rays.len() as f64);
-        let is_inside = tracer.marcher.bounds.contains(view.camera.position.as_vec3());
-        let is_inside_matter = is_inside && 2 * near >= view.rays.len();
-        Seen { matter, within, is_inside_matter, dropped, weight, outside, most_opaque, densest }
-    };
-    views.iter().map(of_view).collect()
-}
-
-/// What a view sees of splats: they have no density, and a camera among them is not in matter.
-fn seen_splats(view: &View, splats: &SplatRenderer, domain: &Domain) -> Seen {
-    let prepared = splats.prepare(&view.camera, Use::Colors);
-    let (least, mut hits) = (f64::from(SURFACE_WEIGHT), Hits::default());
-    let (mut matter, mut within) = (0_usize, 0_usize);
-    let mut seen = Seen {
-        matter: 0.0,
-        within: 0.0,
-        is_inside_matter: false,
-        dropped: 0,
-        weight: 0.0,
-        outside: 0.0,
-        most_opaque: 0.0,
-        densest: 0.0,
-    };
-    for at in &view.points {
-        prepared.hits(*at, &mut hits);
-        let opacity = 1.0 - hits.passed;
-        let is_within = |hit: &&Hit| domain.to_unit(splats.splats().mean(prepared.splat(hit))).is_some();
-        let inside: f64 = hits.list.iter().filter(is_within).map(Hit::weight).sum();
+/// What the rays of a view see. A camera stands in matter only if rays are marched: one among splats does not.
+fn seen(view: &View, rays: Range<usize>, samples: &WeightedSamples, source: &dyn Renderer, domain: &Domain) -> Seen {
+    let volume = source.marched();
+    let within_near = source.march_step().map(|step| INSIDE_MATTER_SAMPLES * step);
+    let (mut matter, mut within, mut near, mut dropped) = (0_usize, 0_usize, 0_usize, 0_u64);
+    let (mut weight, mut outside, mut most_opaque, mut densest) = (0.0, 0.0, 0.0_f64, 0.0_f64);
+    for ray in rays {
+        let sum = |keep: &dyn Fn(usize) -> bool| -> f64 {
+            samples.samples(ray).filter(|&i| keep(i)).map(|i| samples.weights[i]).sum()
+        };
+        let least = f64::from(SURFACE_WEIGHT);
+        let opacity = sum(&|_| true);
+        let inside = sum(&|i| domain.to_unit(samples.positions[i]).is_some());
         matter += usize::from(opacity >= least);
         within += usize::from(inside >= least);
-        seen.weight += opacity;
-        seen.outside += (opacity - inside).max(0.0);
-        seen.most_opaque = seen.most_opaque.max(opacity);
+        near += usize::from(within_near.is_some_and(|reach| sum(&|i| samples.t[i] <= reach) >= 0.5));
+        dropped += u64::from(samples.is_dropped[ray]);
+        weight += opacity;
+        outside += opacity - inside;
+        most_opaque = most_opaque.max(opacity);
+        let densities = samples.densities.get(samples.samples(ray)).unwrap_or_default();
+        densest = densities.iter().map(|&density| f64::from(density)).fold(densest, f64::max);
     }
-    [seen.matter, seen.within] = [matter, within].map(|count| count as f64 / view.points.len() as f64);
-    seen
+    let [matter, within] = [matter, within].map(|count| count as f64 / view.points.len() as f64);
+    let is_inside = volume.is_some_and(|v| v.tracer.marcher.bounds.contains(view.camera.position.as_vec3()));
+    let is_inside_matter = is_inside && 2 * near >= view.points.len();
+    Seen { matter, within, is_inside_matter, dropped, weight, outside, most_opaque, densest }
 }
 
 #[cfg(test)]
@@ -284,7 +239,7 @@ mod tests {
         let grid = GridSettings { level: 4, ..GridSettings::default() };
         let lattice = grid.lattice(domain).unwrap();
         let rays = RaySettings { occupancy: 32, ..RaySettings::default() };
-        let stream = rays.stream(field, cameras, &lattice, &Silent).unwrap();
+        let stream = rays.stream(&field, cameras, &lattice, &Silent).unwrap();
         CoverageCheck::measure(&stream, &domain, &Silent).unwrap()
     }
 

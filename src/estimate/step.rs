@@ -8,8 +8,8 @@ use super::rays::shortest_step;
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
-use crate::rays::{Pixels, RayStream, VolumeRays};
-use crate::render::{DifferenceErrors, Differences, LONGEST_STEP, Stencil};
+use crate::rays::{Pixels, RayStream};
+use crate::render::{DifferenceErrors, Differences, LONGEST_STEP, Stencil, VolumeRenderer};
 
 /// Number of points on visible surfaces. A mean over them is known to about 1 / √1024 of its spread.
 const POINTS: usize = 1024;
@@ -94,7 +94,9 @@ impl StepCheck {
         tolerance: f64,
         monitor: &dyn Monitor,
     ) -> Result<Option<Self>> {
-        let Some(VolumeRays { tracer, differentiation }) = stream.source.volume() else { return Ok(None) };
+        let Some(VolumeRenderer { tracer, differentiation: Some(differentiation) }) = stream.source.marched() else {
+            return Ok(None);
+        };
         if differentiation.analytic.is_some() {
             return Ok(None);
         }
@@ -200,7 +202,7 @@ mod tests {
         let cameras = ClosedForm::half_circle(6, [64, 64]);
         let lattice = grid().lattice(Domain::Box(field.bounds())).unwrap();
         let rays = RaySettings { occupancy: 32, ..RaySettings::default() };
-        let stream = rays.stream(field, &cameras, &lattice, &Silent).unwrap();
+        let stream = rays.stream(&field, &cameras, &lattice, &Silent).unwrap();
         StepCheck::with_seed(seed, &stream, &lattice, 0.01, &Silent).unwrap().unwrap()
     }
 

@@ -7,13 +7,13 @@
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use super::shown::empty_view;
-use super::{ShownModel, TrueView};
+use super::TrueView;
 use crate::Result;
+use crate::estimate::Model;
 use crate::metrics::{psnr, ssim};
 use crate::monitor::{Monitor, check};
 use crate::posterior::Scale;
-use crate::render::{RenderedView, Renderer};
+use crate::render::{Pixel, RenderedView, Renderer};
 use crate::uncertainty::Answers;
 
 /// log10 U at a share of 1, with U in longest edges of the domain.
@@ -92,13 +92,21 @@ fn thresholds_start_at(uncertainty: &dyn Answers) -> f64 {
     }
 }
 
-/// Renders `truths` before and after removing density, or splats, above each of `thresholds`. The
+/// What a view shows of nothing.
+fn empty_view(truth: &TrueView, renderer: &dyn Renderer) -> RenderedView {
+    let nothing = Pixel { color: renderer.background(), ..Pixel::default() };
+    let pixels = vec![nothing; truth.colors.len()];
+    RenderedView { resolution: truth.camera.resolution, pixels, ..RenderedView::default() }
+}
+
+/// Renders `truths` as `whole` has the model, before and after removing density, or splats, above each of `thresholds`. The
 /// first entry is the field as it is. A stage of its own for the monitor.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`], and if the uncertainty cannot be read.
 pub fn clean_up(
-    model: &ShownModel,
+    model: &dyn Model,
+    whole: &dyn Renderer,
     uncertainty: &dyn Answers,
     truths: &[TrueView],
     thresholds: &[f64],
@@ -116,18 +124,20 @@ pub fn clean_up(
             check(monitor)?;
             match left {
                 Some(left) => left.strided_image(&truth.whole, truth.stride, truth.pixel_offset, &[], &[], monitor),
-                None => Ok(empty_view(truth, model.renderer())),
+                None => Ok(empty_view(truth, whole)),
             }
         };
         truths.iter().map(view).collect()
     };
     let rows: u64 = truths.iter().map(|truth| u64::from(truth.camera.resolution[1])).sum();
     monitor.begin("rows, cleaned", rows * (1 + thresholds.len() as u64));
-    let before = render(Some(model.renderer()))?;
+    let before = render(Some(whole))?;
     let mut out = vec![(CleanUp::new(None, None, truths, &before), before)];
     for &share in thresholds {
         let threshold = share * SCALE + unit;
-        let after = model.with_certain_part(uncertainty, threshold, render)?;
+        let left = model.certain_part(uncertainty, threshold)?;
+        let after = render(left.as_ref().map(|left| left.like(whole)).as_deref())?;
+        left.map_or(Ok(()), |left| left.check())?;
         let cleaned = CleanUp::new(Some(share), Some(threshold), truths, &after);
         out.push((CleanUp { surfaces: kept(threshold), ..cleaned }, after));
     }

@@ -4,11 +4,10 @@
 use glam::{DVec3, Vec3};
 
 use crate::dataset::{Frame, PosedImage, SampledImage, has_shape, measure, read_masks};
-use crate::geometry::{Camera, inverted, opencv};
+use crate::geometry::{Camera, NamedCamera, inverted, opencv};
 use crate::metrics::psnr;
 use crate::monitor::{Monitor, check};
-use crate::render::{Renderer, Tracer, VolumeRenderer};
-use crate::splats::SplatRenderer;
+use crate::render::Renderer;
 use crate::{Error, Result};
 
 /// Most images that are read, spread over the cameras: one of 12 megapixels takes a tenth of a second.
@@ -60,8 +59,9 @@ pub struct ImageCheck {
     pub blank: usize,
     /// Number of images that cannot be compared, and why the first of them cannot.
     pub unread: Option<(usize, String)>,
-    /// Whether the model is splats, whose images are worse in any other size than that of their training.
-    pub is_of_splats: bool,
+    /// Whether the model is one of splats or the like, whose images are worse in any other size than that of their
+    /// training.
+    pub depends_on_pixels: bool,
     /// Whether the model was trained on some of these very cameras: then it can only be a poor model.
     pub is_trained_on: bool,
 }
@@ -100,57 +100,26 @@ type Reading = fn(&Camera) -> Camera;
 /// What a tracer renders without what lies behind: colour, and the share of the background that passes.
 type Rendered = Vec<(DVec3, f64)>;
 
-/// Compares some pixels of the images that lie beside `frames` with what the tracer renders there. `None` without
-/// images. An image that takes more than `room` bytes to decode is counted as unread. Images of another size than their
+/// Compares some pixels of the images that lie beside `frames` with what the model shows there. `None` without images.
+/// An image that takes more than `room` bytes to decode is counted as unread. Images of another size than their
 /// camera's are compared at the same place relative to their sides; masked pixels and images of one colour are left
-/// out.
+/// out. `trained` are the model's own training cameras, if it stores them.
 ///
 /// The same pixels every time, whatever the number of threads.
 ///
 /// # Errors
-/// [`Error::Interrupted`] only: images that cannot be read are counted.
+/// [`Error::Interrupted`], or if the model cannot render a camera; images that cannot be read are counted.
 pub fn check_images(
-    tracer: &Tracer,
-    frames: &[Frame],
-    pixel_offset: f64,
-    room: Option<u64>,
-    monitor: &dyn Monitor,
-) -> Result<Option<ImageCheck>> {
-    let (field, renderer) = (tracer.field, VolumeRenderer { tracer: tracer.clone(), differentiation: None });
-    let length = field.bounds().longest_edge();
-    let is_stored =
-        |frame: &&Frame| field.training_cameras().iter().any(|known| known.camera.is_like(&frame.camera, length));
-    compare(&renderer, frames, pixel_offset, room, monitor, |beside| ImageCheck {
-        is_trained_on: beside.iter().any(is_stored),
-        ..ImageCheck::default()
-    })
-}
-
-/// [`check_images`] of splats.
-///
-/// # Errors
-/// [`Error::Interrupted`], or if a lens distorts.
-pub fn check_splat_images(
-    splats: &SplatRenderer,
-    frames: &[Frame],
-    pixel_offset: f64,
-    room: Option<u64>,
-    monitor: &dyn Monitor,
-) -> Result<Option<ImageCheck>> {
-    let of_splats = |_: &[&Frame]| ImageCheck { is_of_splats: true, ..ImageCheck::default() };
-    compare(splats, frames, pixel_offset, room, monitor, of_splats)
-}
-
-/// Compares pixels; `known` has what the model itself says of frames with images.
-fn compare(
     renderer: &dyn Renderer,
+    trained: &[NamedCamera],
     frames: &[Frame],
     pixel_offset: f64,
     room: Option<u64>,
     monitor: &dyn Monitor,
-    known: impl Fn(&[&Frame]) -> ImageCheck,
 ) -> Result<Option<ImageCheck>> {
     let beside = beside(frames);
+    let length = renderer.bounds().longest_edge();
+    let is_stored = |frame: &&Frame| trained.iter().any(|known| known.camera.is_like(&frame.camera, length));
     // One at a time, so that no more than one is held, as the plan foresees.
     let read = |frame: &Frame| check(monitor).map(|()| Shown::read(frame, pixel_offset, room));
     let read: Vec<Result<Shown>> = chosen(&beside).into_iter().map(read).collect::<Result<_>>()?;
@@ -166,7 +135,9 @@ fn compare(
         shapes: shown.iter().find_map(Shown::shapes),
         blank: blank.len(),
         unread,
-        ..known(&beside)
+        depends_on_pixels: renderer.marched().is_none(),
+        is_trained_on: beside.iter().any(is_stored),
+        ..ImageCheck::default()
     };
     if pixels == 0 {
         return Ok((found.unread.is_some() || found.blank > 0).then_some(found));
@@ -278,7 +249,7 @@ impl ImageCheck {
 
     /// The PSNR below which a model is worth a warning, dB.
     fn fair(&self) -> f64 {
-        if self.is_of_splats { FAIR_SPLATS } else { FAIR }
+        if self.depends_on_pixels { FAIR_SPLATS } else { FAIR }
     }
 
     /// Whether the model shows the images worse than a trained one should.
@@ -298,7 +269,7 @@ impl ImageCheck {
     /// What was measured of splats, for users to compare with the PSNR of the training.
     #[must_use]
     pub fn note(&self) -> Option<String> {
-        (self.is_of_splats && self.images > 0).then(|| {
+        (self.depends_on_pixels && self.images > 0).then(|| {
             format!(
                 "the splats show the images beside the cameras with {}; less than in training hints at another size \
                  (--resolution)",
@@ -335,7 +306,7 @@ impl ImageCheck {
         if let Some([[w, h], [image_w, image_h]]) = self.shapes {
             causes.push(format!("images of {image_w} x {image_h} pixels for cameras of {w} x {h}"));
         }
-        if self.is_of_splats {
+        if self.depends_on_pixels {
             causes.push("another image size than the splats were trained at (--resolution)".into());
             causes.push("a frame that the export normalised (nerfstudio, gsplat)".into());
         }

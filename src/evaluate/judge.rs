@@ -1,24 +1,21 @@
 //! One evaluation, from its inputs to its report.
 
-use std::fmt;
 use std::path::{Path, PathBuf};
 
-use super::shown::{bounds_of, size_of};
 use super::training_cameras::training_cameras;
 use super::{
     CleanUp, DepthError, DepthFiles, DepthMeaning, EvaluatedView, Evaluator, FramesWithDepth, Interval, Reading,
-    Report, ShownModel, THRESHOLDS, TrainingViews, TrueView, clean_up,
+    Report, THRESHOLDS, TrainingViews, TrueView, clean_up,
 };
 use glam::DVec3;
 
 use crate::dataset::{DepthKind, DepthReadings, Frame, FrameSplit, LargestDepth, Part, Selection, Views};
 use crate::error::counted;
-use crate::estimate::{RaySettings, Subject};
-use crate::geometry::{Aabb, Camera, NamedCamera};
+use crate::estimate::{Model, RaySettings};
+use crate::geometry::{Aabb, Camera, Domain, NamedCamera};
 use crate::metrics::{STEPS, quantile};
-use crate::monitor::Monitor;
+use crate::monitor::{Message, Monitor};
 use crate::render::RenderedView;
-use crate::splats::SplatRenderer;
 use crate::{Error, Result};
 
 /// What else may be wrong if depths are.
@@ -30,29 +27,11 @@ const BYTES_PER_PIXEL: u64 = 266;
 /// Memory that is announced, bytes.
 const MUCH_MEMORY: u64 = 1 << 30;
 
-/// A message to the user about an evaluation, one sentence.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Remark {
-    /// What was assumed or left out.
-    Note(String),
-    /// What is probably wrong.
-    Warning(String),
-}
-
-impl fmt::Display for Remark {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        match self {
-            Self::Note(text) => write!(f, "note: {text}"),
-            Self::Warning(text) => write!(f, "warning: {text}"),
-        }
-    }
-}
-
 /// What is judged, and by what.
 #[derive(Clone)]
 pub struct Evaluation<'a> {
     /// The model.
-    pub model: Subject<'a>,
+    pub model: &'a dyn Model,
     /// Its name, for the report.
     pub name: String,
     /// How its images are rendered.
@@ -60,7 +39,7 @@ pub struct Evaluation<'a> {
     /// Readings to rank its errors by. The first one is used for the clean-up and for calibration.
     pub readings: &'a [Reading],
     /// Models of the same kind that were trained like it, by their names.
-    pub ensemble: Vec<(String, Subject<'a>)>,
+    pub ensemble: Vec<(String, &'a dyn Model)>,
     /// The camera file with the held-out frames.
     pub cameras: PathBuf,
     /// Which of them are taken.
@@ -94,7 +73,7 @@ pub struct Prepared<'a> {
     /// How many frames are used, and why the others are not.
     pub used: String,
     /// What is odd about the inputs.
-    pub remarks: Vec<Remark>,
+    pub remarks: Vec<Message>,
 }
 
 /// What an evaluation found.
@@ -137,20 +116,18 @@ impl<'a> Evaluation<'a> {
         let all = views.frames.clone();
         let wanted = self.readings.first().and_then(|reading| reading.field.record().cameras_checksum);
         let training = training_cameras(self.model, &self.name, wanted, &self.cameras, &views);
-        let length = bounds_of(self.model).longest_edge();
+        let length = self.model.main_box().longest_edge();
         let is_known = |frame: &Frame| training.iter().any(|known| known.camera.is_like(&frame.camera, length));
         let split = FrameSplit::new(views).by_model(is_known);
         let frames = split.select(Part::HeldOut, &self.selection, |_| true)?;
         let mut remarks = Vec::new();
-        if let Subject::Splats(_) = self.model {
-            SplatRenderer::check_cameras(frames.iter().map(|frame| &frame.camera))?;
-        }
+        frames.iter().try_for_each(|frame| self.model.check_camera(&frame.camera))?;
         let known = frames.iter().filter(|frame| is_known(frame)).count();
-        if let (Subject::Splats(_), Some(first)) = (self.model, training.first())
+        if let (true, Some(first)) = (self.model.depends_on_pixels(), training.first())
             && let Some(other) = frames.iter().find(|frame| frame.camera.resolution != first.camera.resolution)
         {
             let ([w, h], [width, height]) = (other.camera.resolution, first.camera.resolution);
-            remarks.push(Remark::Warning(format!(
+            remarks.push(Message::Warning(format!(
                 "images of {w} x {h} pixels, but the splats were trained at {width} x {height}: they look right only \
                  at the size of their training"
             )));
@@ -158,7 +135,7 @@ impl<'a> Evaluation<'a> {
         remarks.extend(self.memory(&frames));
         if known > 0 {
             let n = frames.len();
-            remarks.push(Remark::Warning(format!(
+            remarks.push(Message::Warning(format!(
                 "the model was trained on {known} of these {n} frames: it knows them better than others"
             )));
         }
@@ -166,12 +143,12 @@ impl<'a> Evaluation<'a> {
         if depth.is_none() && frames.iter().any(|frame| frame.depth.is_some()) {
             let text = "the depth maps that the camera file names are not evaluated: --clean-up alone does without \
                         (--depth-encoding, --z-depth or --plot use them)";
-            remarks.push(Remark::Note(text.into()));
+            remarks.push(Message::Note(text.into()));
         }
-        if let (Subject::Splats(_), true, true) = (self.model, training.is_empty(), depth.is_some()) {
+        if let (false, true, true) = (self.model.stores_cameras(), training.is_empty(), depth.is_some()) {
             let text = "splats store no cameras, and no camera file beside them or --cameras has those of the field: \
                         how many training views see a place, and from which angle, is left out";
-            remarks.push(Remark::Note(text.into()));
+            remarks.push(Message::Note(text.into()));
         }
         let maps = |folder: &PathBuf| self.training_maps(folder, &training);
         let training_depth = self.training_depth.as_ref().map(maps).transpose()?;
@@ -180,12 +157,12 @@ impl<'a> Evaluation<'a> {
     }
 
     /// In words, the memory that the pixels take until all views are judged, if it is much.
-    fn memory(&self, frames: &[Frame]) -> Option<Remark> {
+    fn memory(&self, frames: &[Frame]) -> Option<Message> {
         let side = |side: u32| u64::from(side.div_ceil(self.stride));
         let pixels = |frame: &Frame| frame.camera.resolution.map(side).iter().product::<u64>();
         let bytes = BYTES_PER_PIXEL * frames.iter().map(pixels).sum::<u64>();
         (bytes >= MUCH_MEMORY).then(|| {
-            Remark::Note(format!(
+            Message::Note(format!(
                 "the pixels of {} take up to {:.1} GB of memory (--stride N: every Nth pixel along x and y)",
                 counted(frames.len(), "view"),
                 bytes as f64 / 1e9
@@ -196,15 +173,12 @@ impl<'a> Evaluation<'a> {
     /// The frames that the model was trained on, with their depth maps.
     fn training_maps(&self, folder: &Path, cameras: &[NamedCamera]) -> Result<FramesWithDepth> {
         if cameras.is_empty() {
-            let (expected, found) = match self.model {
-                Subject::Volume(field) => {
-                    ("a model that knows its training cameras, such as those of `train`", field.describe())
-                }
-                Subject::Splats(splats) => {
-                    ("the field's training cameras in a camera file beside the splats or --cameras", splats.describe())
-                }
+            let expected = if self.model.stores_cameras() {
+                "a model that knows its training cameras, such as those of `train`"
+            } else {
+                "the field's training cameras in a camera file beside the splats or --cameras"
             };
-            return Err(Error::setting("--training-depth", expected, found));
+            return Err(Error::setting("--training-depth", expected, self.model.describe()));
         }
         let frames: Vec<Frame> = cameras.iter().map(|named| Frame::new(named.camera, &named.name, "")).collect();
         DepthFiles { folder: Some(folder.into()), ..self.depth.clone() }.find(folder, &frames, &frames)
@@ -213,37 +187,34 @@ impl<'a> Evaluation<'a> {
 
 /// A member of an ensemble must cover the same box as the model. Splats that were trained again have their own boxes,
 /// which must share half of what either covers.
-fn check_member(name: &str, member: Subject, model: Subject) -> Result<()> {
-    if let (Subject::Splats(model), Subject::Splats(member)) = (model, member)
-        && model.mode() != member.mode()
-    {
-        let expected = format!("splats drawn in {} mode, as the model", model.mode());
-        return Err(Error::setting(format!("member `{name}`"), expected, member.mode().to_string()));
+fn check_member(name: &str, member: &dyn Model, model: &dyn Model) -> Result<()> {
+    let refused = |expected: String, found: String| Err(Error::setting(format!("member `{name}`"), expected, found));
+    if model.kind() != member.kind() {
+        return refused(format!("{}, as the model", model.kind()), member.kind().into());
     }
-    let (boxes, slack) = match (model, member) {
-        (Subject::Volume(model), Subject::Volume(member)) => ([model.bounds(), member.bounds()], Some(1e-5)),
-        (Subject::Splats(_), Subject::Splats(_)) => ([model, member].map(bounds_of), None),
-        _ => {
-            let kind = |of| if matches!(of, Subject::Splats(_)) { "splats" } else { "a volume" };
-            return Err(Error::setting(
-                format!("member `{name}`"),
-                format!("{}, as the model", kind(model)),
-                kind(member),
-            ));
-        }
-    };
-    let [expected, found] = boxes;
-    let is_same = match slack {
-        Some(slack) => [expected.min() - found.min(), expected.max() - found.max()]
-            .iter()
-            .all(|d| d.abs().max_element() <= slack * expected.longest_edge()),
-        None => shared(&expected, &found) >= 0.5,
+    if let Err([expected, found]) = model.check_drawn_like(member) {
+        return refused(format!("{expected}, as the model"), found);
+    }
+    let [expected, found] = [model, member].map(Model::main_box);
+    let is_same = if model.ends_at_its_box() {
+        let distances = [expected.min() - found.min(), expected.max() - found.max()];
+        distances.iter().all(|d| d.abs().max_element() <= 1e-5 * expected.longest_edge())
+    } else {
+        shared(&expected, &found) >= 0.5
     };
     if is_same {
         return Ok(());
     }
     let [expected, found] = [expected, found].map(|b| format!("{} to {}", b.min(), b.max()));
     Err(Error::setting(format!("box of the member `{name}`"), format!("the model's, {expected}"), found))
+}
+
+/// The length to which errors of depth are compared, scene units.
+fn size_of(model: &dyn Model) -> f64 {
+    match model.natural_domain() {
+        Domain::Box(_) => model.main_box().longest_edge(),
+        Domain::Contracted { radius, .. } => 2.0 * radius,
+    }
 }
 
 /// The share of the space in either of two boxes that is in both.
@@ -254,7 +225,7 @@ fn shared(a: &Aabb, b: &Aabb) -> f64 {
 }
 
 /// Whether half of the depths are so far off that they are probably misread.
-fn are_far_off(error: &DepthError, model: Subject) -> bool {
+fn are_far_off(error: &DepthError, model: &dyn Model) -> bool {
     error.median > 0.1 * size_of(model)
 }
 
@@ -270,28 +241,28 @@ impl Prepared<'_> {
     /// # Errors
     /// If a file is damaged, if nearly no value of the depth maps is a measurement or no error of a model explains
     /// half of them, if the pixels are too few, and [`Error::Interrupted`].
-    pub fn judge(&self, monitor: &dyn Monitor, tell: &mut dyn FnMut(Remark)) -> Result<Judged> {
+    pub fn judge(&self, monitor: &dyn Monitor, tell: &mut dyn FnMut(Message)) -> Result<Judged> {
         let Evaluation { model, settings, readings, .. } = &self.evaluation;
-        let offset = settings.offset_of(*model);
-        let bounds = bounds_of(*model);
+        let offset = settings.offset_for(*model);
+        let bounds = model.main_box();
         let meaning = |found: &FramesWithDepth| DepthMeaning { encoding: found.encoding, bounds };
         let truly_seen =
             self.training_depth.as_ref().map(|found| truly_seen(found, &meaning(found), offset, monitor, tell));
         let truly_seen = truly_seen.transpose()?;
         let lattice = readings.first().map(|reading| reading.field.lattice());
-        let shown = ShownModel::new(*model, settings, lattice, monitor)?;
+        let shown = model.for_images(settings, lattice, monitor)?;
         let cameras: Vec<Camera> = self.training.iter().map(|named| named.camera).collect();
         let knows_cameras = self.depth.is_some() && !cameras.is_empty();
-        let training = || TrainingViews::render(shown.renderer(), &cameras, offset, monitor);
+        let training = || TrainingViews::render(&*shown, &cameras, offset, monitor);
         let training = knows_cameras.then(training).transpose()?;
         let members = self.evaluation.ensemble.iter();
-        let members = members.map(|(_, member)| ShownModel::new(*member, settings, None, monitor));
+        let members = members.map(|(_, member)| member.for_images(settings, None, monitor));
         let members = members.collect::<Result<Vec<_>>>()?;
         let evaluator = Evaluator {
-            members: members.iter().map(ShownModel::renderer).collect(),
+            members: members.iter().map(AsRef::as_ref).collect(),
             training: training.as_ref(),
             truly_seen: truly_seen.as_ref(),
-            ..Evaluator::new(shown.renderer(), readings)
+            ..Evaluator::new(&*shown, readings)
         };
 
         let looked = self.look(&evaluator, self.depth.as_ref().map(meaning), offset, monitor)?;
@@ -311,7 +282,7 @@ impl Prepared<'_> {
             report.calibrated = Some(Interval::calibrate(&evaluator, views, probability).ok_or_else(few)?);
         }
         let cleaned = match (self.evaluation.clean_up, evaluator.baked.first()) {
-            (true, Some(field)) => clean_up(&shown, field, &looked.truths, &THRESHOLDS, monitor)?,
+            (true, Some(field)) => clean_up(*model, &*shown, field, &looked.truths, &THRESHOLDS, monitor)?,
             _ => Vec::new(),
         };
         report.clean_up = cleaned.iter().map(|(cleaned, _)| *cleaned).collect();
@@ -354,7 +325,7 @@ fn truly_seen(
     depth: &DepthMeaning,
     offset: f64,
     monitor: &dyn Monitor,
-    tell: &mut dyn FnMut(Remark),
+    tell: &mut dyn FnMut(Message),
 ) -> Result<TrainingViews> {
     let (seen, counts) = TrainingViews::from_depth_maps(&maps.frames, depth, offset, monitor)?;
     if counts.are_nearly_all_unmeasured() {
@@ -362,7 +333,7 @@ fn truly_seen(
         return Err(Error::malformed(&maps.source, "depth maps of training views", expected, counts.to_string()));
     }
     if counts.measured < counts.total() {
-        tell(Remark::Note(format!("training views: {counts}; such pixels count as seeing all that is there")));
+        tell(Message::Note(format!("training views: {counts}; such pixels count as seeing all that is there")));
     }
     Ok(seen)
 }
@@ -389,8 +360,8 @@ impl Looked {
     fn error_of_depth(
         &self,
         maps: &FramesWithDepth,
-        model: Subject,
-        tell: &mut dyn FnMut(Remark),
+        model: &dyn Model,
+        tell: &mut dyn FnMut(Message),
     ) -> Result<DepthError> {
         let wrong = |expected, found| Err(Error::malformed(&maps.source, "depth maps", expected, found));
         if self.counts.are_nearly_all_unmeasured() {
@@ -398,16 +369,16 @@ impl Looked {
             return wrong(expected, self.counts.to_string());
         }
         let error = DepthError::new(&self.views).ok_or_else(|| self.too_few(maps, "pixels with depth"))?;
-        let (widest, size) = (bounds_of(model).longest_edge(), size_of(model));
+        let (widest, size) = (model.main_box().longest_edge(), size_of(model));
         let found = format!("half of the depths are off by more than {:.4} scene units", error.median);
         if error.median > widest {
             return wrong(format!("depths within the model's box, {widest:.4} across; {CAUSES}"), found);
         }
         if self.counts.measured < self.counts.total() {
-            tell(Remark::Note(self.counts.to_string()));
+            tell(Message::Note(self.counts.to_string()));
         }
         if let Some(doubt) = self.largest.doubt(self.counts.measured) {
-            tell(Remark::Warning(doubt));
+            tell(Message::Warning(doubt));
         }
         let mut otherwise = self.otherwise.clone();
         otherwise.sort_unstable_by(f64::total_cmp);
@@ -417,10 +388,10 @@ impl Looked {
                 DepthKind::Z => ("distance from the camera", "without --z-depth"),
                 DepthKind::Euclidean => ("depth along the viewing axis", "with --z-depth"),
             };
-            tell(Remark::Note(format!("{found}; if the maps hold {kind} ({flag}), by more than {other:.4}")));
+            tell(Message::Note(format!("{found}; if the maps hold {kind} ({flag}), by more than {other:.4}")));
         }
         if are_far_off(&error, model) {
-            tell(Remark::Warning(format!("{found}, and the model is {size:.4} across; {CAUSES}")));
+            tell(Message::Warning(format!("{found}, and the model is {size:.4} across; {CAUSES}")));
         }
         Ok(error)
     }

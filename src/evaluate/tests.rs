@@ -190,7 +190,7 @@ fn confirmed_depths_are_photo_consistent_where_images_agree() {
         .unwrap()
         .field;
     let plain = field.clone();
-    let field = compare_images(&model.tracer, images, field.lattice(), &Silent).unwrap().join(field).unwrap();
+    let field = compare_images(&model, images, field.lattice(), &Silent).unwrap().join(field).unwrap();
     let training = TrainingViews::render(&model, &cameras, 0.5, &Silent).unwrap();
     let reading = |field| [Reading { name: "U".into(), field, averages: Vec::new() }];
     let (with, without) = (reading(field), reading(plain));
@@ -320,9 +320,7 @@ fn clean_up_removes_nothing_above_the_prior_and_everything_below_the_least() {
     let lowest = field.deviations().iter().fold(f64::INFINITY, f64::min);
     let [all, none] = [share(field.prior()) + 1e-9, share(lowest) - 1e-9];
     let middle = 0.5 * (all + none);
-    let cleaned =
-        clean_up(&ShownModel::Volume(Box::new(renderer(&ball))), &field, &truths, &[none, middle, all], &Silent)
-            .unwrap();
+    let cleaned = clean_up(&ball, &renderer(&ball), &field, &truths, &[none, middle, all], &Silent).unwrap();
     let [before, gone, some, kept] = [0, 1, 2, 3].map(|k| &cleaned[k]);
     assert!(before.0.psnr == f64::INFINITY && before.0.ssim > 1.0 - 1e-9 && before.0.coverage == 1.0);
     for (a, b) in before.1.iter().zip(&kept.1) {

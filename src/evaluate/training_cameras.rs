@@ -4,21 +4,21 @@
 use std::path::{Path, PathBuf};
 
 use crate::dataset::{Frame, FrameSplit, Part, Selection, Views, read_masks};
-use crate::estimate::Subject;
+use crate::estimate::Model;
 use crate::geometry::{Camera, NamedCamera};
 
 /// The training cameras of `model`, called `name`: those that it stores. Of splats, those of the checksum that their
 /// field was computed with, if a camera file has them: `views`, of the file `path`, or one beside that file or the
 /// model, as it is or at the image size of `views`. None if they are unknown.
 pub(crate) fn training_cameras(
-    model: Subject,
+    model: &dyn Model,
     name: &str,
     wanted: Option<u32>,
     path: &Path,
     views: &Views,
 ) -> Vec<NamedCamera> {
-    if let Subject::Volume(field) = model {
-        return field.training_cameras().to_vec();
+    if model.stores_cameras() {
+        return model.training_cameras().to_vec();
     }
     let Some(wanted) = wanted else { return Vec::new() };
     let mut files: Vec<PathBuf> = ["transforms_train.json", "transforms.json", "cameras.json"]

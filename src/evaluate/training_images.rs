@@ -7,7 +7,7 @@ use super::depth_files::each_has_its_own;
 use crate::dataset::{Frame, image_path};
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
-use crate::render::{Tracer, render_view};
+use crate::render::Renderer;
 use crate::uncertainty::{ColorSpread, ColorSums, ResidualSums, Residuals, UncertaintyField};
 use crate::{Error, Result};
 
@@ -86,19 +86,25 @@ impl TrainingImages {
         self.0.iter().map(|frame| &frame.image)
     }
 
-    /// Compares the model behind a tracer with the images over its background, for fields on a lattice. About 260,000
+    /// Compares the model behind a renderer with the images over its background, for fields on a lattice. About 260,000
     /// pixels of all images together are looked at, each at `pixel_offset`. A stage of its own for the monitor.
     ///
     /// # Errors
     /// If an image cannot be read, or if the work was interrupted.
-    pub fn compare(&self, tracer: &Tracer, pixel_offset: f64, of: &Lattice, monitor: &dyn Monitor) -> Result<Compared> {
+    pub fn compare(
+        &self,
+        renderer: &dyn Renderer,
+        pixel_offset: f64,
+        of: &Lattice,
+        monitor: &dyn Monitor,
+    ) -> Result<Compared> {
         let pixels: u64 = self.0.iter().map(|frame| frame.camera.pixels()).sum();
         let stride = (pixels as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as u32;
-        let background = tracer.background.as_dvec3();
+        let background = renderer.background();
         let images = self.0.iter().map(|frame| TrueView::read(frame, None, background, pixel_offset, stride));
         let rows = |frame: &Frame| u64::from(frame.camera.resolution[1].div_ceil(stride));
         monitor.begin("rows of training images", self.0.iter().map(rows).sum());
-        let compared = compare_images(tracer, images, of, monitor)?;
+        let compared = compare_images(renderer, images, of, monitor)?;
         monitor.end();
         Ok(compared)
     }
@@ -113,7 +119,7 @@ impl TrainingImages {
 /// # Errors
 /// Those of the images, and [`crate::Error::Interrupted`].
 pub fn compare_images(
-    tracer: &Tracer,
+    renderer: &dyn Renderer,
     images: impl IntoIterator<Item = Result<TrueView>>,
     of: &Lattice,
     monitor: &dyn Monitor,
@@ -121,11 +127,12 @@ pub fn compare_images(
     let (mut residuals, mut colors) = (ResidualSums::new(of), ColorSums::new(of));
     for image in images {
         let image = image?;
-        let view = render_view(tracer, &image.camera, image.pixel_offset, &[], monitor)?;
+        let TrueView { whole, stride, pixel_offset, .. } = &image;
+        let view = renderer.strided_image(whole, *stride, *pixel_offset, &[], &[], monitor)?;
         let width = image.camera.resolution[0] as usize;
         let at = |i: usize, depth: f64| {
             let [x, y] = [i % width, i / width].map(|n| n as f64 + image.pixel_offset);
-            tracer.marcher.bounds.clamp(image.camera.ray(x, y).at(depth).as_vec3())
+            renderer.bounds().clamp(image.camera.ray(x, y).at(depth).as_vec3())
         };
         // In the order of the pixels, so that the sums do not depend on the number of threads.
         let shown = || view.pixels.iter().enumerate().filter(|(i, pixel)| pixel.opacity > 0.5 && image.kept[*i]);
@@ -146,13 +153,13 @@ mod tests {
     use crate::field::{ClosedForm, RadianceField};
     use crate::geometry::Camera;
     use crate::monitor::Silent;
-    use crate::render::Marcher;
+    use crate::render::{Marcher, Tracer, VolumeRenderer};
 
     const SIDE: u32 = 64;
 
-    fn tracer(ball: &ClosedForm) -> Tracer<'_> {
+    fn renderer(ball: &ClosedForm) -> VolumeRenderer<'_> {
         let marcher = Marcher { step: 0.01, bounds: ball.bounds(), occupancy: None, cutoff: 0.0 };
-        Tracer { field: ball, marcher, background: Vec3::ONE }
+        VolumeRenderer { tracer: Tracer { field: ball, marcher, background: Vec3::ONE }, differentiation: None }
     }
 
     fn image(camera: Camera, colors: Vec<DVec3>) -> TrueView {
@@ -176,17 +183,17 @@ mod tests {
     #[test]
     fn images_agree_on_what_is_painted_on_the_surface() {
         let ball = ClosedForm::ball();
-        let tracer = tracer(&ball);
+        let renderer = renderer(&ball);
         let cameras =
             [-0.6, 0.6].map(|y| Camera::look_at(DVec3::new(3.0, y, 0.0), DVec3::ZERO, DVec3::Z, 0.7, [SIDE; 2]));
-        let views = cameras.map(|camera| render_view(&tracer, &camera, 0.5, &[], &Silent).unwrap());
+        let views = cameras.map(|camera| renderer.image(&camera, 0.5, &[], &[], &Silent).unwrap());
         let lattice = Lattice::new(ball.bounds(), 5).unwrap();
         let compared = |color: &dyn Fn(usize, DVec3) -> DVec3| {
             let images = [0, 1].map(|k| {
                 let points = views[k].median_points(&cameras[k], 0.5);
                 Ok(image(cameras[k], points.map(|(_, x)| color(k, x)).collect()))
             });
-            compare_images(&tracer, images, &lattice, &Silent).unwrap().color_spread.unwrap()
+            compare_images(&renderer, images, &lattice, &Silent).unwrap().color_spread.unwrap()
         };
         // Ramps of 0.4 per scene unit: cells are a 32nd of the box wide, and a vertex counts pixels up to one of them
         // away, so that the means of two images differ by less than a ramp over two cells.
@@ -216,15 +223,15 @@ mod tests {
     #[test]
     fn residuals_are_found_where_they_are() {
         let ball = ClosedForm::ball();
-        let tracer = tracer(&ball);
+        let renderer = renderer(&ball);
         let camera = Camera::look_at(DVec3::new(3.0, 0.0, 0.0), DVec3::ZERO, DVec3::Z, 0.7, [SIDE; 2]);
-        let view = render_view(&tracer, &camera, 0.5, &[], &Silent).unwrap();
+        let view = renderer.image(&camera, 0.5, &[], &[], &Silent).unwrap();
         // The upper half of the picture is off by 0.2 in red, the lower half is right.
         let off = |i: usize| if i < 32 * 64 { DVec3::new(0.2, 0.0, 0.0) } else { DVec3::ZERO };
         let colors = view.pixels.iter().enumerate().map(|(i, pixel)| pixel.color + off(i)).collect();
         let truth = image(camera, colors);
         let lattice = Lattice::new(ball.bounds(), 4).unwrap();
-        let Compared { residuals, color_spread } = compare_images(&tracer, [Ok(truth)], &lattice, &Silent).unwrap();
+        let Compared { residuals, color_spread } = compare_images(&renderer, [Ok(truth)], &lattice, &Silent).unwrap();
         assert!(color_spread.is_none(), "of one image");
         let at = |x: f64, y: f64| {
             let pixel = &view.pixels[y as usize * 64 + x as usize];

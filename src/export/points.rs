@@ -11,7 +11,7 @@ use super::ply::{PlyWriter, SURFACE};
 use crate::Result;
 use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
-use crate::render::{Tracer, render_view};
+use crate::render::{Renderer, Tracer, VolumeRenderer};
 use crate::uncertainty::{Answers, Matrices};
 
 /// Points per query.
@@ -23,7 +23,7 @@ const CHUNK: usize = 1 << 16;
 pub struct Surfaces {
     /// `[n]`: scene units.
     pub positions: Vec<Vec3>,
-    /// `[n]`: unit vectors against the gradient of density, on the camera's side.
+    /// `[n]`: unit vectors against the gradient of density, on the camera's side; without a density, to the camera.
     pub normals: Vec<Vec3>,
     /// `[n]`: colours of the pixels without what lies behind, in [0, 1].
     pub colors: Vec<Vec3>,
@@ -43,7 +43,7 @@ impl Surfaces {
 /// # Errors
 /// [`crate::Error::Interrupted`] only.
 pub fn surfaces(
-    tracer: &Tracer,
+    renderer: &dyn Renderer,
     cameras: &[Camera],
     offset: f64,
     pixels: u64,
@@ -51,12 +51,12 @@ pub fn surfaces(
 ) -> Result<Surfaces> {
     let total: u64 = cameras.iter().map(Camera::pixels).sum();
     let stride = ((total as f64 / pixels as f64).sqrt().ceil() as u32).max(1);
-    let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.strided(stride, offset)).collect();
-    monitor.begin("rows", cameras.iter().map(|camera| u64::from(camera.resolution[1])).sum());
+    let strided: Vec<Camera> = cameras.iter().map(|camera| camera.strided(stride, offset)).collect();
+    monitor.begin("rows", strided.iter().map(|camera| u64::from(camera.resolution[1])).sum());
     let mut found = Surfaces::default();
-    let background = tracer.background();
-    for (k, camera) in (0..).zip(&cameras) {
-        let view = render_view(tracer, camera, offset, &[], monitor)?;
+    let background = renderer.background();
+    for (k, (whole, camera)) in (0..).zip(cameras.iter().zip(&strided)) {
+        let view = renderer.strided_image(whole, stride, offset, &[], &[], monitor)?;
         let width = camera.resolution[0] as usize;
         found.pixels.push(camera.pixels());
         for (i, pixel) in view.pixels.iter().enumerate().filter(|(_, pixel)| pixel.opacity > 0.5) {
@@ -70,9 +70,11 @@ pub fn surfaces(
     }
     monitor.end();
     check(monitor)?;
-    let Surfaces { positions, normals, .. } = &mut found;
-    let chunks = positions.par_chunks(CHUNK).zip(normals.par_chunks_mut(CHUNK));
-    chunks.for_each(|(positions, normals)| against_gradient(tracer, positions, normals));
+    if let Some(VolumeRenderer { tracer, .. }) = renderer.marched() {
+        let Surfaces { positions, normals, .. } = &mut found;
+        let chunks = positions.par_chunks(CHUNK).zip(normals.par_chunks_mut(CHUNK));
+        chunks.for_each(|(positions, normals)| against_gradient(tracer, positions, normals));
+    }
     Ok(found)
 }
 

@@ -10,7 +10,8 @@ use crate::Result;
 use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
 use crate::posterior::Scale;
-use crate::splats::{Hits, SplatRenderer, Splats, Use};
+use crate::render::Outputs;
+use crate::splats::{Hits, SplatRenderer, Splats};
 use crate::uncertainty::{Answers, is_certain};
 
 /// A view counts if a splat's share of one of its pixels exceeds this.
@@ -51,7 +52,7 @@ impl SeenSplats {
         monitor.begin("training views", cameras.len() as u64);
         for camera in cameras {
             check(monitor)?;
-            let view = renderer.prepare(camera, Use::Colors);
+            let view = renderer.prepare(camera, Outputs::Colors);
             let start = (stride / 2).min(camera.resolution[0] - 1).min(camera.resolution[1] - 1);
             let rows: Vec<u32> = (start..camera.resolution[1]).step_by(stride as usize).collect();
             let of_row = |&row: &u32| {

@@ -207,19 +207,71 @@ pub trait RadianceField: Send + Sync {
         0
     }
 
+    /// Whether all that was returned since the last call is true: a field may read files meanwhile.
+    ///
+    /// # Errors
+    /// If that failed.
+    fn check(&self) -> Result<()> {
+        Ok(())
+    }
+
     /// One human-readable line: architecture and size.
     fn describe(&self) -> String {
         "a field of another program".into()
     }
 }
 
-/// For each camera, the index of the same one among those that the model was trained on ([`Camera::is_like`], seen from
-/// the far side of the model's box).
-pub fn known_cameras<'a>(
-    model: &dyn RadianceField,
-    cameras: impl IntoIterator<Item = &'a Camera>,
-) -> Vec<Option<usize>> {
-    let (known, length) = (model.training_cameras(), model.bounds().longest_edge());
-    let index = |camera: &Camera| known.iter().position(|known| known.camera.is_like(camera, length));
-    cameras.into_iter().map(index).collect()
+/// A field behind a pointer is a field.
+macro_rules! forward {
+    ($($pointer:ty),*) => {$(
+        impl<F: RadianceField + ?Sized> RadianceField for $pointer {
+            fn bounds(&self) -> Aabb {
+                (**self).bounds()
+            }
+            fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
+                (**self).evaluate(positions, directions, out);
+            }
+            fn densities(&self, positions: &[Vec3], out: &mut [f32]) {
+                (**self).densities(positions, out);
+            }
+            fn differentiable(&self) -> Option<&dyn Differentiable> {
+                (**self).differentiable()
+            }
+            fn density_bound(&self, min: Vec3, max: Vec3) -> Option<f32> {
+                (**self).density_bound(min, max)
+            }
+            fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
+                (**self).cameras(intrinsics)
+            }
+            fn training_cameras(&self) -> &[NamedCamera] {
+                (**self).training_cameras()
+            }
+            fn training_noise(&self) -> Option<f64> {
+                (**self).training_noise()
+            }
+            fn natural_domain(&self) -> Domain {
+                (**self).natural_domain()
+            }
+            fn suggested_step(&self) -> f64 {
+                (**self).suggested_step()
+            }
+            fn pixel_offset(&self) -> f64 {
+                (**self).pixel_offset()
+            }
+            fn batch(&self) -> usize {
+                (**self).batch()
+            }
+            fn memory(&self) -> usize {
+                (**self).memory()
+            }
+            fn check(&self) -> Result<()> {
+                (**self).check()
+            }
+            fn describe(&self) -> String {
+                (**self).describe()
+            }
+        }
+    )*};
 }
+
+forward!(&F, Box<F>, std::sync::Arc<F>);

@@ -5,15 +5,13 @@ use glam::Vec3;
 use rustc_hash::FxHashMap;
 
 use super::coverage::Facet;
-use super::look::{Look, Points, in_front, stands_in_matter};
-use crate::Result;
 use crate::geometry::{Camera, Lattice};
 use crate::monitor::Monitor;
 use crate::posterior::{Posterior, RayCoverage};
-use crate::rays::{PixelSample, PixelSequence, Pixels, RaySource};
-use crate::render::VisibleSegment;
-use crate::splats::{Use, tile_of};
+use crate::rays::{MAX_DROPPED_SHARE, PixelSample, PixelSequence, Pixels};
+use crate::render::{CameraView, ImagePoints, Outputs, RaySamples, Renderer, VisibleSegment};
 use crate::uncertainty::{Added, Precision};
+use crate::{Error, Result};
 
 /// Rays that are differentiated together, as in a run.
 const BATCH: usize = 512;
@@ -66,7 +64,7 @@ pub struct Evidence {
 /// Shows what candidates would see.
 pub struct Viewer<'a> {
     /// The model and how its rays are differentiated.
-    pub source: &'a RaySource<'a>,
+    pub source: &'a dyn Renderer,
     /// Where in a pixel its ray passes.
     pub pixel_offset: f64,
     /// What rays are added to; `None` if only their ends count.
@@ -85,23 +83,16 @@ impl Viewer<'_> {
     /// Whether cameras are to be looked through one after the other: if the model is asked from the calling thread, for
     /// many points at once, or if a view takes memory and is itself prepared by all threads.
     pub fn takes_turns(&self) -> bool {
-        self.source.volume().is_none_or(|volume| volume.tracer.field.batch() > 0)
+        self.source.marched().is_none_or(|volume| volume.tracer.field.batch() > 0)
     }
 
-    /// The camera in front of the model, to be differentiated if that counts.
-    fn look(&self, camera: &Camera) -> Look<'_> {
-        Look::new(self.source, camera, if self.precision.is_some() { Use::Derivatives } else { Use::Colors })
-    }
-
-    /// The rays of a view: all of them cameras' first pixels of the same low-discrepancy sequence. Of splats, those of
-    /// one tile follow each other, whose splats then stay in the cache.
-    pub fn points(&self, camera: &Camera) -> Vec<Points> {
+    /// The rays of a view: all of them cameras' first pixels of the same low-discrepancy sequence. Those of one tile
+    /// follow each other.
+    pub fn points(&self, camera: &Camera) -> Vec<ImagePoints> {
         let count = self.pixels.min(camera.pixels());
         let mut picks = PixelSequence::new(Pixels::Sobol, self.seed, vec![camera.resolution]).picks(0, count);
-        if self.source.splats().is_some() {
-            picks.sort_by_key(|pick| tile_of(pick.pixel.map(f64::from)));
-        }
-        let batch = |(n, picks): (usize, &[PixelSample])| Points {
+        picks.sort_by_key(|pick| self.source.tile_of(pick.pixel.map(f64::from)));
+        let batch = |(n, picks): (usize, &[PixelSample])| ImagePoints {
             at: picks.iter().map(|pick| pick.pixel.map(|i| f64::from(i) + self.pixel_offset)).collect(),
             jitter: picks.iter().map(|pick| pick.jitter).collect(),
             first: (n * BATCH) as u64,
@@ -112,21 +103,23 @@ impl Viewer<'_> {
     /// What a view would show.
     ///
     /// # Errors
-    /// As [`Look::samples`].
+    /// As [`samples`].
     pub fn evidence(&self, camera: &Camera, monitor: &dyn Monitor) -> Result<Evidence> {
-        let (look, points) = (self.look(camera), self.points(camera));
+        let outputs = if self.precision.is_some() { Outputs::Derivatives } else { Outputs::Colors };
+        let (view, points) = (self.source.view(camera, outputs), self.points(camera));
         let rays: u64 = points.iter().map(|points| points.at.len() as u64).sum();
         let mut evidence = Evidence { rays, pixels: camera.pixels(), ..Evidence::default() };
-        let sight = match self.precision {
-            None => look.sight(&points)?,
+        let seen = match self.precision {
+            None => finite(view.sight(&points), &points)?,
             Some(precision) => {
-                let samples = look.samples(&points, monitor)?;
+                let samples = samples(&*view, &points, monitor)?;
                 let mut sums = precision.sums();
                 sums.add(&samples);
                 evidence.added = precision.added(&sums, camera.pixels() as f64 / rays as f64);
-                samples.into_iter().flat_map(|batch| batch.sight).collect()
+                samples
             }
         };
+        let sight: Vec<VisibleSegment> = seen.into_iter().flat_map(|batch| batch.sight).collect();
         self.note_ends(camera, &sight, &mut evidence);
         if evidence.blank.is_some() {
             evidence.added.clear();
@@ -137,7 +130,9 @@ impl Viewer<'_> {
 
     /// Notes where rays end, and why they tell nothing if they do not.
     fn note_ends(&self, camera: &Camera, sight: &[VisibleSegment], evidence: &mut Evidence) {
-        let (bounds, in_front) = (self.source.bounds(), in_front(self.source));
+        // Rays of a model that is not marched end at centres, which lie on the surface.
+        let in_front = self.source.march_step().unwrap_or(0.0);
+        let bounds = self.source.bounds();
         let mut seen: FxHashMap<usize, glam::DVec3> = FxHashMap::default();
         let mut ends: FxHashMap<usize, u32> = FxHashMap::default();
         let mut crossing = 0;
@@ -161,7 +156,7 @@ impl Viewer<'_> {
         evidence.ends = ends.into_iter().collect();
         evidence.ends.sort_unstable();
         let nothing = if self.precision.is_some() { evidence.added.is_empty() } else { evidence.facets.is_empty() };
-        evidence.blank = if stands_in_matter(self.source, camera, sight) {
+        evidence.blank = if self.source.stands_in_matter(camera, sight) {
             Some(Blank::InMatter)
         } else if crossing == 0 {
             Some(Blank::PastTheBox)
@@ -184,6 +179,27 @@ impl Evidence {
     pub fn memory(&self) -> usize {
         let Self { added, facets, ends, .. } = self;
         size_of_val(&added[..]) + size_of_val(&facets[..]) + size_of_val(&ends[..])
+    }
+}
+
+/// The samples of rays, with their Jacobians.
+///
+/// # Errors
+/// [`Error::NonFinite`] if more than [`MAX_DROPPED_SHARE`] of the rays were dropped, or [`Error::Interrupted`].
+pub fn samples(view: &dyn CameraView, points: &[ImagePoints], monitor: &dyn Monitor) -> Result<Vec<RaySamples>> {
+    finite(view.samples(points, monitor)?, points)
+}
+
+/// Refuses samples of which too many rays were dropped.
+fn finite(samples: Vec<RaySamples>, points: &[ImagePoints]) -> Result<Vec<RaySamples>> {
+    let rays: u64 = points.iter().map(|points| points.at.len() as u64).sum();
+    let dropped: u64 = samples.iter().map(|batch| batch.dropped).sum();
+    match samples.iter().find_map(|batch| batch.first_invalid) {
+        Some(first) if dropped as f64 > MAX_DROPPED_SHARE * rays as f64 => {
+            let limit_percent = 100.0 * MAX_DROPPED_SHARE;
+            Err(Error::NonFinite { dropped, rays, limit_percent, first: first.to_array() })
+        }
+        _ => Ok(samples),
     }
 }
 

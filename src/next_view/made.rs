@@ -2,8 +2,7 @@
 
 use glam::DVec3;
 
-use super::look::in_matter;
-use crate::estimate::Subject;
+use crate::estimate::Model;
 use crate::geometry::{Camera, Domain, upright};
 use crate::{Error, Result};
 
@@ -111,13 +110,13 @@ impl Made {
     /// The cameras that do not stand in matter of `model`, with their names, and how many do. Samples of a volume are
     /// `step` apart, or as it suggests.
     #[must_use]
-    pub fn cameras(self, around: &Around, model: &Subject, step: Option<f64>) -> (Vec<String>, Vec<Camera>, usize) {
+    pub fn cameras(self, around: &Around, model: &dyn Model, step: Option<f64>) -> (Vec<String>, Vec<Camera>, usize) {
         let cameras = match self {
             Self::Sphere { count, is_upper } => around.sphere(count, is_upper),
             Self::Orbit { count } => around.orbit(count),
         };
         let eyes: Vec<DVec3> = cameras.iter().map(|camera| camera.position).collect();
-        let is_buried = in_matter(model, step, &eyes);
+        let is_buried = model.in_matter(step, &eyes);
         let free: Vec<Camera> =
             cameras.iter().zip(&is_buried).filter(|(_, is_buried)| !**is_buried).map(|(camera, _)| *camera).collect();
         let names = (0..free.len()).map(|k| format!("{} {k}", self.kind())).collect();

@@ -1,12 +1,11 @@
 //! Where in a view the gain comes from.
 
-use super::evidence::Viewer;
-use super::look::{Look, Points};
+use super::evidence::{Viewer, samples};
 use super::objective::Objective;
 use crate::Result;
 use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
-use crate::splats::Use;
+use crate::render::{ImagePoints, Outputs};
 use crate::uncertainty::{Added, Precision};
 
 /// Longest side of a map, pixels.
@@ -37,7 +36,7 @@ impl GainMap {
         let offset = viewer.pixel_offset;
         let [width, height] = camera.resolution.map(|side| side.div_ceil(stride));
         // The view's own pixels: splats grow by a part of a pixel, so that those of a smaller image differ.
-        let look = Look::new(viewer.source, camera, Use::Derivatives);
+        let look = viewer.source.view(camera, Outputs::Derivatives);
         let mut gains = vec![0.0; width as usize * height as usize];
         monitor.begin("gain of pixels", u64::from(height));
         let sums = precision.sums();
@@ -45,8 +44,8 @@ impl GainMap {
             check(monitor)?;
             let at = (0..width).map(|column| [column, row].map(|i| f64::from(i * stride) + offset)).collect();
             let jitter = vec![0.5; width as usize];
-            let points = Points { at, jitter, first: u64::from(row) * u64::from(width) };
-            for samples in look.samples(&[points], monitor)? {
+            let points = ImagePoints { at, jitter, first: u64::from(row) * u64::from(width) };
+            for samples in samples(&*look, &[points], monitor)? {
                 sums.each_ray(&samples, |ray, touched| {
                     let added: Vec<Added> =
                         touched.iter().map(|(point, sums)| precision.added_at(*point, *sums, 1.0)).collect();

@@ -41,7 +41,6 @@ mod coverage;
 mod evidence;
 mod gain;
 mod greedy;
-mod look;
 mod made;
 mod map;
 mod objective;

@@ -1,5 +1,6 @@
 //! One ranking: candidates are looked at once, then taken one by one.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use derive_setters::Setters;
@@ -9,14 +10,11 @@ use super::evidence::{Blank, Evidence, Viewer};
 use super::greedy::Candidates;
 use super::objective::Objective;
 use super::{Gain, GainMap, Settings, VertexGain};
-use crate::estimate::{RaySettings, Subject};
-use crate::field::RadianceField;
+use crate::estimate::{Model, RaySettings};
 use crate::geometry::{Camera, Lattice};
 use crate::monitor::{Monitor, Silent, check};
 use crate::posterior::RayCoverage;
-use crate::rays::RaySource;
-use crate::render::GradientMethod;
-use crate::splats::SplatRenderer;
+use crate::render::{GradientMethod, Renderer};
 use crate::uncertainty::{Precision, UncertaintyField};
 use crate::{Error, Result};
 
@@ -79,7 +77,7 @@ impl Ranking {
 #[must_use]
 pub struct NextView<'a> {
     #[setters(skip)]
-    model: Subject<'a>,
+    model: &'a dyn Model,
     #[setters(skip)]
     field: &'a UncertaintyField,
     #[setters(skip)]
@@ -97,12 +95,7 @@ pub struct NextView<'a> {
 
 impl<'a> NextView<'a> {
     /// Ranks `candidates` for the `model` whose uncertainty is `field`.
-    pub fn new(model: &'a dyn RadianceField, field: &'a UncertaintyField, candidates: &'a [Camera]) -> Self {
-        Self::of(Subject::Volume(model), field, candidates)
-    }
-
-    /// Ranks `candidates` for a volume or splats whose uncertainty is `field`.
-    pub fn of(model: Subject<'a>, field: &'a UncertaintyField, candidates: &'a [Camera]) -> Self {
+    pub fn new(model: &'a dyn Model, field: &'a UncertaintyField, candidates: &'a [Camera]) -> Self {
         let settings = Settings::default();
         Self { model, field, candidates, training: &[], vertex_gain: None, settings, monitor: &Silent }
     }
@@ -126,7 +119,7 @@ impl<'a> NextView<'a> {
         self.check()?;
         let precision = self.precision()?;
         let source = self.source()?;
-        let viewer = self.viewer(&source, precision.as_ref());
+        let viewer = self.viewer(&*source, precision.as_ref());
         let mut objective = Objective::new(gain, precision.as_ref(), self.field.ray_coverage()).with(self.vertex_gain);
         let mut start = Instant::now();
         if gain == Gain::Coverage {
@@ -201,7 +194,7 @@ impl<'a> NextView<'a> {
         let precision = self.field.precision()?;
         self.check_lenses([camera])?;
         let source = self.source()?;
-        let viewer = self.viewer(&source, Some(&precision));
+        let viewer = self.viewer(&*source, Some(&precision));
         let objective = Objective::new(self.settings.gain, Some(&precision), None).with(self.vertex_gain);
         GainMap::of(camera, &viewer, &precision, &objective, self.monitor)
     }
@@ -216,7 +209,7 @@ impl<'a> NextView<'a> {
         let source = self.source()?;
         let objective = Objective::new(Gain::Coverage, None, self.field.ray_coverage());
         let mut shares = Vec::new();
-        self.each(&self.viewer(&source, None), self.candidates, "sides", |_, evidence| {
+        self.each(&self.viewer(&*source, None), self.candidates, "sides", |_, evidence| {
             shares.push(objective.unseen_share(&evidence).filter(|_| evidence.blank.is_none()));
             Ok(())
         })?;
@@ -243,10 +236,7 @@ impl<'a> NextView<'a> {
     }
 
     fn check_lenses<'c>(&self, cameras: impl IntoIterator<Item = &'c Camera>) -> Result<()> {
-        match self.model {
-            Subject::Volume(_) => Ok(()),
-            Subject::Splats(_) => SplatRenderer::check_cameras(cameras),
-        }
+        cameras.into_iter().try_for_each(|camera| self.model.check_camera(camera))
     }
 
     fn precision(&self) -> Result<Option<Precision<'a>>> {
@@ -256,7 +246,7 @@ impl<'a> NextView<'a> {
         }
     }
 
-    fn viewer<'v>(&self, source: &'v RaySource<'v>, precision: Option<&'v Precision<'v>>) -> Viewer<'v>
+    fn viewer<'v>(&self, source: &'v dyn Renderer, precision: Option<&'v Precision<'v>>) -> Viewer<'v>
     where
         'a: 'v,
     {
@@ -275,14 +265,10 @@ impl<'a> NextView<'a> {
     }
 
     /// The rays of the run that made the field, as far as its record states them.
-    fn source(&self) -> Result<RaySource<'a>> {
+    fn source(&self) -> Result<Arc<dyn Renderer + 'a>> {
         let record = self.field.record();
         let (lattice, defaults) = (self.field.lattice(), RaySettings::default());
         let background = record.background.map_or(defaults.background, glam::Vec3::from_array);
-        let model = match self.model {
-            Subject::Volume(model) => model,
-            Subject::Splats(splats) => return Ok(RaySource::Splats(SplatRenderer::new(splats, background))),
-        };
         let gradient = record.gradient.unwrap_or(GradientMethod::Auto);
         // The same share of an edge along all axes, unless f32 positions needed more, as they will again.
         let shares = record.difference_step.map(|step| [0, 1, 2].map(|k| step[k] / lattice.edge()[k]));
@@ -294,16 +280,12 @@ impl<'a> NextView<'a> {
             .march_step(record.march_step)
             .background(background)
             .occupancy(self.settings.occupancy);
-        Ok(RaySource::Volume(Box::new(rays.volume(model, lattice, self.monitor)?)))
+        self.model.for_rays(&rays, lattice, self.monitor)
     }
 
     /// Where in a pixel its ray passes: as in the run that made the field.
     fn offset(&self) -> f64 {
-        let own = || match self.model {
-            Subject::Volume(model) => model.pixel_offset(),
-            Subject::Splats(_) => RaySettings::default().offset_for_splats(),
-        };
-        self.field.record().pixel_offset.unwrap_or_else(own)
+        self.field.record().pixel_offset.unwrap_or_else(|| self.model.pixel_offset())
     }
 
     /// What each camera would see, in their order.

@@ -5,7 +5,6 @@ mod splats;
 use glam::{DMat3, DVec3};
 
 use super::evidence::{Evidence, Viewer};
-use super::look::Look;
 use super::*;
 use crate::estimate::{Estimation, GridSettings, RaySettings};
 use crate::field::{ClosedForm, RadianceField};
@@ -16,9 +15,8 @@ use crate::posterior::{
     Covariance, Criteria, DataScale, Information, OctreePosterior, Pooling, Posterior, Reading, Refinement, Scale,
     comparable,
 };
-use crate::rays::RaySource;
 use crate::render::RaySamples;
-use crate::splats::Use;
+use crate::render::{Outputs, Renderer, VolumeRenderer};
 use crate::uncertainty::{RunRecord, UncertaintyField};
 use crate::{Error, Result};
 
@@ -49,11 +47,11 @@ fn uneven() -> MaxLevels {
     MaxLevels::balanced(6, [(0, 6), (3, 5), (5, 6), (6, 4)])
 }
 
-fn source(scene: &ClosedForm) -> RaySource<'_> {
-    RaySource::Volume(Box::new(RaySettings::default().occupancy(32).volume(scene, &lattice(), &Silent).unwrap()))
+fn source(scene: &ClosedForm) -> VolumeRenderer<'_> {
+    RaySettings::default().occupancy(32).volume(scene, &lattice(), &Silent).unwrap()
 }
 
-fn viewer<'a>(source: &'a RaySource<'a>) -> Viewer<'a> {
+fn viewer(source: &dyn Renderer) -> Viewer<'_> {
     let cells = lattice().coarsened(3);
     Viewer { source, pixel_offset: 0.5, precision: None, ray_coverage: None, cells, pixels: PIXELS, seed: 0 }
 }
@@ -63,8 +61,9 @@ fn samples(cameras: &[Camera]) -> Vec<RaySamples> {
     let scene = scene();
     let source = source(&scene);
     let viewer = viewer(&source);
-    let samples =
-        |camera| Look::new(&source, camera, Use::Derivatives).samples(&viewer.points(camera), &Silent).unwrap();
+    let samples = |camera| {
+        evidence::samples(&*source.view(camera, Outputs::Derivatives), &viewer.points(camera), &Silent).unwrap()
+    };
     cameras.iter().flat_map(samples).collect()
 }
 

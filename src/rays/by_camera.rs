@@ -1,4 +1,4 @@
-//! Rays of splats, camera by camera.
+//! Rays camera by camera, through a model whose views have to be prepared.
 //!
 //! To prepare a view of splats takes as long as to composite ten thousand of its pixels, so a run draws all rays of a
 //! camera before those of the next. They are the rays that [`PixelSequence`] gives the camera when cameras take turns:
@@ -12,8 +12,7 @@ use rayon::prelude::*;
 use super::pixels::PixelSequence;
 use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
-use crate::render::RaySamples;
-use crate::splats::{Hits, SplatRenderer, SplatView, Use, tile_of};
+use crate::render::{CameraView, ImagePoints, Outputs, RaySamples, Renderer};
 use crate::{Error, Result};
 
 /// Rays of a run camera by camera: where each camera's begin.
@@ -55,18 +54,18 @@ impl Order {
 /// A camera's view, and the pixels of all its rays by tile.
 struct Prepared<'a> {
     camera: usize,
-    view: SplatView<'a>,
+    view: Box<dyn CameraView + 'a>,
     pixels: Vec<[u32; 2]>,
 }
 
-/// Draws the rays of a run of splats; keeps the view that it used last.
-pub(super) struct CameraByCamera<'r, 'a> {
-    renderer: SplatRenderer<'a>,
+/// Draws the rays of a run; keeps the view that it used last.
+pub(super) struct CameraByCamera<'r> {
+    renderer: &'r dyn Renderer,
     cameras: &'r [Camera],
     pixels: &'r PixelSequence,
     pixel_offset: f64,
     order: Order,
-    prepared: Option<Prepared<'a>>,
+    prepared: Option<Prepared<'r>>,
 }
 
 /// A part of a batch that one camera sees.
@@ -79,32 +78,31 @@ struct Part {
     first: u64,
 }
 
-impl<'r, 'a> CameraByCamera<'r, 'a> {
+impl<'r> CameraByCamera<'r> {
     /// Prepares to draw a run of `rays` rays.
     ///
     /// # Errors
-    /// If a lens distorts, or if pixels are drawn at random, which cannot be sorted by camera.
+    /// If pixels are drawn at random, which cannot be sorted by camera.
     pub fn new(
-        renderer: SplatRenderer<'a>,
+        renderer: &'r dyn Renderer,
         cameras: &'r [Camera],
         pixels: &'r PixelSequence,
         pixel_offset: f64,
         rays: u64,
     ) -> Result<Self> {
-        SplatRenderer::check_cameras(cameras)?;
         if pixels.kind() == super::Pixels::Random {
-            let expected = "`sobol` or `every`: rays of splats are drawn camera by camera";
+            let expected = "`sobol` or `every`, which can be drawn camera by camera";
             return Err(Error::setting("pixels", expected, "random ones"));
         }
         Ok(Self { renderer, cameras, pixels, pixel_offset, order: Order::new(pixels, rays), prepared: None })
     }
 
-    fn prepare(&self, camera: usize) -> Prepared<'a> {
+    fn prepare(&self, camera: usize) -> Prepared<'r> {
         let pick = |n: u64| (self.pixels.of_camera(camera, n).pixel, n);
         let mut picks: Vec<([u32; 2], u64)> = (0..self.order.share(camera)).into_par_iter().map(pick).collect();
-        let key = |pixel: [u32; 2]| tile_of(pixel.map(f64::from));
+        let key = |pixel: [u32; 2]| self.renderer.tile_of(pixel.map(f64::from));
         picks.par_sort_unstable_by_key(|&(pixel, n)| (key(pixel), n));
-        let view = self.renderer.prepare(&self.cameras[camera], Use::Derivatives);
+        let view = self.renderer.view(&self.cameras[camera], Outputs::Derivatives);
         Prepared { camera, view, pixels: picks.into_iter().map(|(pixel, _)| pixel).collect() }
     }
 
@@ -132,16 +130,13 @@ impl<'r, 'a> CameraByCamera<'r, 'a> {
                 None => self.prepare(camera),
             };
             let offset = self.pixel_offset;
-            let draw = |part: &Part| {
-                let (mut out, mut hits) = (RaySamples::default(), Hits::default());
-                for (rank, index) in part.ranks.clone().zip(part.first..) {
-                    let at = prepared.pixels[rank as usize].map(|i| f64::from(i) + offset);
-                    prepared.view.push_samples(at, index, &mut hits, &mut out);
-                }
-                monitor.advance(part.ranks.end - part.ranks.start);
-                out
+            let points = |part: &Part| {
+                let pixels = &prepared.pixels[part.ranks.start as usize..part.ranks.end as usize];
+                let at = pixels.iter().map(|pixel| pixel.map(|i| f64::from(i) + offset)).collect();
+                ImagePoints { at, jitter: Vec::new(), first: part.first }
             };
-            let drawn: Vec<RaySamples> = of_camera.par_iter().map(draw).collect();
+            let drawn = prepared.view.samples(&of_camera.iter().map(points).collect::<Vec<_>>(), monitor)?;
+            monitor.advance(of_camera.iter().map(|part| part.ranks.end - part.ranks.start).sum());
             for (part, drawn) in of_camera.iter().zip(drawn) {
                 samples[part.batch].append(drawn);
             }

@@ -14,7 +14,6 @@ mod portions;
 mod samples_file;
 mod seeds;
 mod shard;
-mod source;
 mod stream;
 
 // What only files and Python name.
@@ -34,6 +33,5 @@ pub use stream::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};
 #[doc(hidden)]
 pub use self::{
     pixels::{PixelSample, PixelSequence},
-    source::{RaySource, VolumeRays},
     stream::End,
 };

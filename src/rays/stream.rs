@@ -2,6 +2,7 @@
 
 use std::convert::Infallible;
 use std::ops::{ControlFlow, Range};
+use std::sync::Arc;
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -11,11 +12,9 @@ use super::pixels::{PixelSample, PixelSequence, Pixels};
 use super::portions::{GROUP, Portions};
 use super::seeds::Purpose;
 use super::shard::{BATCH, RaySet, RunProgress, Shard};
-use super::source::{RaySource, VolumeRays};
 use crate::geometry::{Aabb, Camera, Mask, Ray};
 use crate::monitor::{Monitor, check};
-use crate::render::{CompositingWeights, JacobianBuffers, RayBatch, RaySamples, TraceBuffers, TracedRays};
-use crate::splats::{Hits, SplatRenderer, Use};
+use crate::render::{RayBatch, RaySamples, Renderer, VolumeRenderer, WeightedSamples};
 use crate::{Error, Result};
 
 /// Largest fraction of rays that may be dropped because the field was not finite. Beyond it, a run fails.
@@ -57,7 +56,7 @@ pub enum End<B> {
 pub struct RayStream<'a> {
     /// The model.
     #[doc(hidden)]
-    pub source: RaySource<'a>,
+    pub source: Arc<dyn Renderer + 'a>,
     /// Training cameras, at least one.
     pub cameras: &'a [Camera],
     /// Position of rays within their pixel; ½ is the centre.
@@ -74,7 +73,7 @@ impl<'a> RayStream<'a> {
     #[must_use]
     pub fn with_pixels(&self, kind: Pixels, seed: u64) -> RayStream<'a> {
         let pixels = self.pixels.reordered(kind, seed);
-        RayStream { source: self.source.clone(), pixels, reach: None, ..*self }
+        RayStream { source: Arc::clone(&self.source), pixels, reach: None, ..*self }
     }
 
     /// The same stream over the pixels that masks keep, one or none for each camera.
@@ -108,10 +107,10 @@ impl<'a> RayStream<'a> {
     /// The same stream through few cameras, spread over all, if each costs as much as thousands of rays.
     #[must_use]
     pub(crate) fn through_few_cameras(&self) -> RayStream<'a> {
-        let few = RayStream { source: self.source.clone(), pixels: self.pixels.clone(), ..*self };
-        match self.source {
-            RaySource::Volume(_) => few,
-            RaySource::Splats(_) => RayStream { pixels: self.pixels.thinned(MAX_PREPARED_CAMERAS), ..few },
+        let few = RayStream { source: Arc::clone(&self.source), pixels: self.pixels.clone(), ..*self };
+        match self.source.marched() {
+            Some(_) => few,
+            None => RayStream { pixels: self.pixels.thinned(MAX_PREPARED_CAMERAS), ..few },
         }
     }
 
@@ -139,7 +138,7 @@ impl<'a> RayStream<'a> {
         shard: &Shard,
         batches: Range<u64>,
         rays_together: u64,
-        by_camera: &mut Option<CameraByCamera<'_, 'a>>,
+        by_camera: &mut Option<CameraByCamera<'_>>,
         monitor: &dyn Monitor,
     ) -> Result<Vec<Group>> {
         let rays = |n| shard.rays_of(shard.batch(n));
@@ -149,36 +148,25 @@ impl<'a> RayStream<'a> {
             let groups = batches.clone().step_by(GROUP as usize).map(group);
             groups.map(|group| (group.len() as u64, group)).collect()
         };
-        let VolumeRays { tracer, differentiation } = match (&self.source, by_camera) {
-            (RaySource::Volume(volume), _) => volume.as_ref(),
-            (RaySource::Splats(_), by_camera) => {
-                let of = |n| (shard.batch(n) * BATCH)..(shard.batch(n) * BATCH + rays(n));
-                return by_camera.as_mut().map_or(Ok(Vec::new()), |by_camera| {
-                    by_camera.samples(&batches.clone().map(of).collect::<Vec<_>>(), monitor).map(grouped)
-                });
-            }
+        let Some(volume) = self.source.marched() else {
+            let of = |n| (shard.batch(n) * BATCH)..(shard.batch(n) * BATCH + rays(n));
+            return by_camera.as_mut().map_or(Ok(Vec::new()), |by_camera| {
+                by_camera.samples(&batches.clone().map(of).collect::<Vec<_>>(), monitor).map(grouped)
+            });
         };
         let drawn: Vec<RayBatch> = batches.clone().into_par_iter().map(|n| self.batch(shard, n)).collect();
-        if tracer.field.batch() > 0 {
-            let samples = tracer.jacobians_together(&drawn, differentiation, monitor)?;
-            monitor.advance(batches.clone().map(rays).sum());
-            return Ok(grouped(samples));
-        }
-        let portions: Vec<RayBatch> = drawn.iter().flat_map(|batch| batch.portions(rays_together as usize)).collect();
-        let each = portions.par_iter().map_init(JacobianBuffers::default, |buffers, portion| {
-            // So that slow fields stop soon; the caller checks, too.
-            if monitor.interrupted() {
-                return RaySamples::default();
-            }
-            let samples = tracer.jacobians(portion, differentiation, buffers);
-            monitor.advance(portion.rays.len() as u64);
-            samples
-        });
-        let samples: Vec<RaySamples> = each.collect();
-        // Rays that reach nothing are no part of a portion.
-        let (all, traced) = (batches.clone().map(rays).sum::<u64>(), portions.iter().map(|portion| portion.rays.len()));
-        monitor.advance(all - traced.sum::<usize>() as u64);
-        Ok(vec![(batches.end - batches.start, samples)])
+        let advance = |rays| monitor.advance(rays);
+        let samples = if volume.tracer.field.batch() > 0 {
+            grouped(volume.samples(&drawn, monitor, advance)?)
+        } else {
+            let portions: Vec<RayBatch> =
+                drawn.iter().flat_map(|batch| batch.portions(rays_together as usize)).collect();
+            vec![(batches.end - batches.start, volume.samples(&portions, monitor, advance)?)]
+        };
+        // Rays that reach nothing are not traced.
+        let traced: usize = drawn.iter().map(|batch| batch.rays.len()).sum();
+        monitor.advance(batches.clone().map(rays).sum::<u64>() - traced as u64);
+        Ok(samples)
     }
 
     /// Rays of one batch, each with its jitter.
@@ -243,14 +231,14 @@ impl<'a> RayStream<'a> {
         monitor.advance(from.rays);
         let mut progress = from;
         // Groups of batches that are drawn at once; of a volume that answers any number of points, less than one.
-        let groups = match (self.source.batch(), &self.source) {
-            (_, RaySource::Splats(_)) => rayon::current_num_threads().div_ceil(THREADS_PER_GROUP) as u64,
-            (points, _) => (AT_FIRST * points).div_ceil(FIRST_POINTS * GROUP as usize) as u64,
-        };
-        let mut by_camera = match &self.source {
-            RaySource::Volume(_) => None,
-            RaySource::Splats(splats) => {
-                Some(CameraByCamera::new(*splats, self.cameras, &self.pixels, self.pixel_offset, shard.rays)?)
+        let (groups, mut by_camera) = match self.source.marched() {
+            Some(VolumeRenderer { tracer, .. }) => {
+                ((AT_FIRST * tracer.field.batch()).div_ceil(FIRST_POINTS * GROUP as usize) as u64, None)
+            }
+            None => {
+                let Self { cameras, pixels, pixel_offset, .. } = self;
+                let by_camera = CameraByCamera::new(&*self.source, cameras, pixels, *pixel_offset, shard.rays)?;
+                (rayon::current_num_threads().div_ceil(THREADS_PER_GROUP) as u64, Some(by_camera))
             }
         };
         while progress.batches < shard.batches() {
@@ -315,30 +303,27 @@ impl RayStream<'_> {
         monitor: &dyn Monitor,
     ) -> Result<Vec<[f32; 3]>> {
         let mut points = Vec::new();
-        let VolumeRays { tracer, .. } = match &self.source {
-            RaySource::Volume(volume) => volume.as_ref(),
-            RaySource::Splats(splats) => {
-                let found = self.through_few_cameras().surface_splats(*splats, counts, rays, monitor)?;
-                // Camera by camera, so that the first would be those of few.
-                let every = found.len().div_ceil(count).max(1);
-                return Ok(found.into_iter().step_by(every).collect());
-            }
+        let Some(volume) = self.source.marched() else {
+            let found = self.through_few_cameras().surface_by_camera(counts, rays, monitor)?;
+            // Camera by camera, so that the first would be those of few.
+            let every = found.len().div_ceil(count).max(1);
+            return Ok(found.into_iter().step_by(every).collect());
         };
         let batches = rays.div_ceil(BATCH);
         for group in (0..batches).step_by(GROUP as usize) {
             check(monitor)?;
             let group: Vec<u64> = (group..(group + GROUP).min(batches)).collect();
             // A field that wants many points at once sees the whole group as one.
-            let (each, together) = if tracer.field.batch() > 0 { (group.len(), usize::MAX) } else { (1, RAYS_TRACED) };
+            let (each, together) =
+                if volume.tracer.field.batch() > 0 { (group.len(), usize::MAX) } else { (1, RAYS_TRACED) };
             let found: Vec<Vec<[f32; 3]>> = group
                 .par_chunks(each)
-                .map_init(TraceBuffers::default, |buffers, batches| {
+                .map(|batches| {
                     let of_batch = |&batch: &u64| self.picked(batch, BATCH.min(rays - batch * BATCH));
                     let (rays, jitter): (Vec<Ray>, Vec<f64>) = batches.iter().flat_map(of_batch).unzip();
                     let mut found = Vec::new();
                     for (rays, jitter) in rays.chunks(together).zip(jitter.chunks(together)) {
-                        tracer.trace(rays, jitter, buffers);
-                        visible(&buffers.traced, tracer.marcher.step, counts, &mut found);
+                        visible(&volume.weighted_rays(rays, jitter), counts, &mut found);
                     }
                     found
                 })
@@ -351,36 +336,26 @@ impl RayStream<'_> {
         Ok(points)
     }
 
-    /// The centres of all splats that `rays` rays show with a weight of at least [`SURFACE_WEIGHT`].
-    fn surface_splats(
+    /// The positions of all samples that `rays` rays show with a weight of at least [`SURFACE_WEIGHT`].
+    fn surface_by_camera(
         &self,
-        splats: SplatRenderer,
         counts: &(dyn Fn(Vec3) -> bool + Sync),
         rays: u64,
         monitor: &dyn Monitor,
     ) -> Result<Vec<[f32; 3]>> {
         let mut points = Vec::new();
         for (camera, share) in self.pixels.shares(rays).into_iter().enumerate().filter(|(_, share)| *share > 0) {
-            check(monitor)?;
-            let view = splats.prepare(&self.cameras[camera], Use::Colors);
-            let found = (0..share).into_par_iter().map_init(Hits::default, |hits, n| {
-                let at = self.pixels.of_camera(camera, n).pixel.map(|i| f64::from(i) + self.pixel_offset);
-                view.hits(at, hits);
-                let visible = hits.list.iter().filter(|hit| hit.weight() >= f64::from(SURFACE_WEIGHT));
-                let centres = visible.map(|hit| splats.splats().mean(view.splat(hit)));
-                centres.filter(|x| counts(*x)).map(|x| x.to_array()).collect::<Vec<_>>()
-            });
-            points.extend(found.collect::<Vec<_>>().into_iter().flatten());
+            let at = |n| self.pixels.of_camera(camera, n).pixel.map(|i| f64::from(i) + self.pixel_offset);
+            let views = [(self.cameras[camera], (0..share).map(at).collect())];
+            visible(&self.source.weighted(&views, monitor)?, counts, &mut points);
         }
         Ok(points)
     }
 }
 
 /// Appends the positions of samples of weight ≥ [`SURFACE_WEIGHT`] at which `counts` holds.
-fn visible(traced: &TracedRays, step: f64, counts: &(dyn Fn(Vec3) -> bool + Sync), found: &mut Vec<[f32; 3]>) {
-    let mut quadrature = CompositingWeights::default();
-    quadrature.set(traced, step);
-    let weighted = quadrature.weights.iter().zip(&traced.positions);
+fn visible(samples: &WeightedSamples, counts: &(dyn Fn(Vec3) -> bool + Sync), found: &mut Vec<[f32; 3]>) {
+    let weighted = samples.weights.iter().zip(&samples.positions);
     let is_visible = |(w, x): &(&f64, &Vec3)| **w >= f64::from(SURFACE_WEIGHT) && counts(**x);
     found.extend(weighted.filter(is_visible).map(|(_, x)| x.to_array()));
 }

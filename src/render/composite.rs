@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 
-use super::TracedRays;
+use super::trace::TracedRays;
 
 /// What a ray shows.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

@@ -7,7 +7,8 @@ use glam::{DVec3, Vec3};
 
 use super::gradient::GradientBuffers;
 use super::jacobian::{Chosen, around};
-use super::{CompositingWeights, Differentiation, TracedRays, Tracer};
+use super::trace::TracedRays;
+use super::{CompositingWeights, Differentiation, Tracer};
 use crate::geometry::Ray;
 
 /// A sample that can move the expected depth of its ray.

@@ -3,31 +3,33 @@
 mod composite;
 mod depth;
 mod gradient;
-mod images;
 mod jacobian;
 mod march;
 mod noise;
 mod occupancy;
 mod probe;
 mod ray_average;
+mod renderer;
 mod samples;
 mod shade;
 mod trace;
 mod view;
+mod volume;
 
 pub use composite::Pixel;
 pub use depth::DepthVariance;
 pub use gradient::{Differentiation, GradientMethod};
-pub use images::{Renderer, VolumeRenderer};
 pub(crate) use march::SampleDistances;
 pub use noise::DifferenceErrors;
 pub(crate) use noise::LONGEST_STEP;
 pub use probe::{MIN_SUPPORTING_RAYS, Probe, Probed, ProbedField};
 pub use ray_average::RayAverage;
+pub use renderer::{CameraView, ImagePoints, Outputs, Renderer, WeightedSamples};
 pub use samples::{RaySample, RaySamples, VisibleSegment};
-pub(crate) use trace::TracedRays;
 pub use view::RenderedView;
 pub(crate) use view::{WeightedRays, check_size};
+pub(crate) use volume::INSIDE_MATTER_SAMPLES;
+pub use volume::VolumeRenderer;
 
 // What only the program, Python and the experiments name.
 #[doc(hidden)]

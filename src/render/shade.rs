@@ -2,7 +2,8 @@
 
 use glam::Vec3;
 
-use super::{CompositingWeights, TracedRays, Tracer};
+use super::trace::TracedRays;
+use super::{CompositingWeights, Tracer};
 use crate::field::Radiance;
 use crate::geometry::Ray;
 

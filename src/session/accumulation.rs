@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use super::{Finished, checks};
 use crate::estimate::{ErrorBudget, FieldBuilder, FieldSource, GridSettings};
-use crate::evaluate::Remark;
 use crate::geometry::Domain;
+use crate::monitor::Message;
 use crate::monitor::Monitor;
 use crate::posterior::Pooling;
 use crate::rays::{RunProgress, SamplesReader};
@@ -53,7 +53,7 @@ impl Accumulation {
         mut self,
         reader: &SamplesReader,
         monitor: &dyn Monitor,
-        tell: &mut dyn FnMut(Remark),
+        tell: &mut dyn FnMut(Message),
     ) -> Result<Finished> {
         self.start = Instant::now();
         reader.run(monitor, |batches| {
@@ -69,7 +69,7 @@ impl Accumulation {
     ///
     /// # Errors
     /// If all samples lie outside the box.
-    pub fn finish(self, place: &Path, source: &str, rays: u64, tell: &mut dyn FnMut(Remark)) -> Result<Finished> {
+    pub fn finish(self, place: &Path, source: &str, rays: u64, tell: &mut dyn FnMut(Message)) -> Result<Finished> {
         let Self { builder, pooling, inside, all, start } = self;
         let found = format!("{inside} of {all} samples");
         if inside == 0 && all > 0 {
@@ -77,7 +77,7 @@ impl Accumulation {
             return Err(Error::malformed(place, "array `positions`", expected, found));
         }
         if 2 * inside < all {
-            tell(Remark::Warning(format!("{found} lie in the box; likely causes: --box, units, or axes")));
+            tell(Message::Warning(format!("{found} lie in the box; likely causes: --box, units, or axes")));
         }
         let sums_bytes = builder.memory();
         let progress = RunProgress { rays, samples: all, ..RunProgress::default() };

@@ -7,10 +7,10 @@ use glam::Vec3;
 
 use super::OpenedModel;
 use crate::estimate::RaySettings;
-use crate::evaluate::Remark;
 use crate::field::Coordinates;
 use crate::geometry::Aabb;
-use crate::open::{self, Model};
+use crate::monitor::Message;
+use crate::open;
 use crate::posterior::Scale;
 use crate::splats::RenderMode;
 use crate::uncertainty::{RunRecord, UncertaintyField};
@@ -29,7 +29,7 @@ impl OpenedModel {
         path: &Path,
         name: &str,
         force: bool,
-        tell: &mut dyn FnMut(Remark),
+        tell: &mut dyn FnMut(Message),
     ) -> Result<Self> {
         let checksum = field.record().model_checksum;
         let opened = Self::open(name, coordinates_of(name, checksum)?, mode_of(name, checksum)?)?;
@@ -46,14 +46,13 @@ impl OpenedModel {
         field: &UncertaintyField,
         path: &Path,
         force: bool,
-        tell: &mut dyn FnMut(Remark),
+        tell: &mut dyn FnMut(Message),
     ) -> Result<()> {
-        // Splats have no end: a field may cover more than their centres.
-        if let Model::Volume(model) = &self.model {
-            check_box(&self.name, &model.bounds(), field)?;
+        if self.model.ends_at_its_box() {
+            check_box(&self.name, &self.model.whole_box(), field)?;
         }
         let Some(expected) = field.record().model_checksum else {
-            tell(Remark::Note(format!("{} does not say which model it was computed from", path.display())));
+            tell(Message::Note(format!("{} does not say which model it was computed from", path.display())));
             return Ok(());
         };
         if expected == self.checksum {
@@ -80,12 +79,12 @@ fn refuse(
     found: &str,
     more: &str,
     force: bool,
-    tell: &mut dyn FnMut(Remark),
+    tell: &mut dyn FnMut(Message),
 ) -> Result<()> {
     if !force {
         return Err(Error::setting(what, expected, format!("{found}{more} (override with --force)")));
     }
-    tell(Remark::Warning(Error::setting(what, expected, found).to_string()));
+    tell(Message::Warning(Error::setting(what, expected, found).to_string()));
     Ok(())
 }
 
@@ -142,7 +141,7 @@ fn check_box(name: &str, model: &Aabb, field: &UncertaintyField) -> Result<()> {
 pub fn check_fields(
     [(path, first), (other, second)]: [(&Path, &UncertaintyField); 2],
     force: bool,
-    tell: &mut dyn FnMut(Remark),
+    tell: &mut dyn FnMut(Message),
 ) -> Result<()> {
     let priors = [first, second].map(|field| field.prior().log10());
     let [first, second] = [first, second].map(UncertaintyField::record);
@@ -159,7 +158,7 @@ pub fn check_fields(
         && first.covariance == second.covariance
         && (priors[0] - priors[1]).abs() > SAME_PRIOR
     {
-        tell(Remark::Warning(format!(
+        tell(Message::Warning(format!(
             "U of one field is on another scale than that of the other: where nothing was seen, log10 U is {:.2} \
              and {:.2}, as with another --level or --lambda; compare fields with these in common, or of --scale data",
             priors[0], priors[1]
@@ -167,10 +166,10 @@ pub fn check_fields(
     }
     if first.covariance != second.covariance {
         let [first, second] = [first, second].map(|record| record.covariance.name());
-        tell(Remark::Warning(format!("`{first}` of one field is compared with `{second}` of the other")));
+        tell(Message::Warning(format!("`{first}` of one field is compared with `{second}` of the other")));
     }
     if first.cameras_checksum.zip(second.cameras_checksum).is_some_and(|(a, b)| a != b) {
-        tell(Remark::Note("the two fields were seen by different cameras".into()));
+        tell(Message::Note("the two fields were seen by different cameras".into()));
     }
     Ok(())
 }

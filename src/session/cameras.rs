@@ -7,9 +7,10 @@ use super::identity::unchanged;
 use super::training_args::TrainingArgs;
 use crate::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
 use crate::error::{counted, printable};
-use crate::evaluate::Remark;
-use crate::field::{Intrinsics, RadianceField, known_cameras};
+use crate::estimate::{Model, known_cameras};
+use crate::field::Intrinsics;
 use crate::geometry::Camera;
+use crate::monitor::Message;
 use crate::{Error, Result};
 
 /// A requested image size.
@@ -79,14 +80,14 @@ impl CameraSource {
     /// Reads the camera file, or else asks the model, which has a name.
     ///
     /// # Errors
-    /// As [`Views::read`] and [`RadianceField::cameras`]; if there is neither a file nor a model with cameras.
-    pub fn read(&self, model: Option<(&dyn RadianceField, &str)>, tell: &mut dyn FnMut(Remark)) -> Result<Views> {
+    /// As [`Views::read`] and [`Model::cameras`]; if there is neither a file nor a model with cameras.
+    pub fn read(&self, model: Option<(&dyn Model, &str)>, tell: &mut dyn FnMut(Message)) -> Result<Views> {
         match (&self.file, model) {
             (Some(path), _) => self.read_file(path, tell),
             (None, Some((model, name))) => {
                 if let Some(fov) = self.fov.filter(|fov| *fov <= std::f64::consts::PI) {
                     let degrees = fov.to_degrees();
-                    tell(Remark::Warning(format!(
+                    tell(Message::Warning(format!(
                         "--fov is {fov} degrees; {fov} radians would be {degrees:.1} degrees"
                     )));
                 }
@@ -96,9 +97,9 @@ impl CameraSource {
         }
     }
 
-    fn read_file(&self, path: &Path, tell: &mut dyn FnMut(Remark)) -> Result<Views> {
+    fn read_file(&self, path: &Path, tell: &mut dyn FnMut(Message)) -> Result<Views> {
         let mut views = Views::read(path, self.resolution.and_then(Resolution::size))?;
-        let mut note = |text: String| tell(Remark::Note(text));
+        let mut note = |text: String| tell(Message::Note(text));
         views.notes.iter().for_each(|text| note(format!("{}: {}", path.display(), printable(text))));
         if let Some(resolution) = self.resolution {
             views.frames.iter_mut().for_each(|frame| frame.camera = resolution.apply(&frame.camera));
@@ -114,7 +115,7 @@ impl CameraSource {
         Ok(views)
     }
 
-    fn ask(&self, model: &dyn RadianceField, name: &str) -> Result<Views> {
+    fn ask(&self, model: &dyn Model, name: &str) -> Result<Views> {
         let size = self.resolution.and_then(Resolution::size);
         let intrinsics = Intrinsics { fov_x: self.fov.map(f64::to_radians), resolution: size };
         let cameras = model.cameras(&intrinsics)?.ok_or_else(|| none_for(&format!("`{name}`")))?;
@@ -143,15 +144,16 @@ impl CameraSource {
     pub fn training(
         &self,
         selection: &Selection,
-        model: Option<(&dyn RadianceField, &str)>,
-        tell: &mut dyn FnMut(Remark),
+        model: Option<(&dyn Model, &str)>,
+        tell: &mut dyn FnMut(Message),
     ) -> Result<TrainingCameras> {
         let files = || self.file.iter().flat_map(|path| Views::files(path)).collect();
         let (views, files) = unchanged(files, || self.read(model, tell))?;
         let (None, Some((own, _))) = (&self.file, model) else {
             let args = TrainingArgs::beside(&[&self.model_file, &self.file].into_iter().flatten().collect::<Vec<_>>());
-            // The original code trains splats: a volume was not trained by it.
-            let all = args.filter(|args| model.is_none() && args.is_evaluated() == Some(false));
+            // The original code trains splats: a model that stores its cameras was not trained by it.
+            let stores = model.is_some_and(|(model, _)| model.stores_cameras());
+            let all = args.filter(|args| !stores && args.is_evaluated() == Some(false));
             let (views, used) = chosen(views, selection, model.map(|(model, _)| model), all, tell)?;
             return Ok(TrainingCameras { views, used, source: files.join(" and ") });
         };
@@ -175,9 +177,9 @@ impl CameraSource {
 fn chosen(
     views: Views,
     selection: &Selection,
-    model: Option<&dyn RadianceField>,
+    model: Option<&dyn Model>,
     trained_on_all: Option<TrainingArgs>,
-    tell: &mut dyn FnMut(Remark),
+    tell: &mut dyn FnMut(Message),
 ) -> Result<(Views, String)> {
     let (path, resolution_source) = (views.path.clone(), views.resolution_source);
     let model = model.filter(|model| !model.training_cameras().is_empty());
@@ -196,21 +198,21 @@ fn chosen(
         let before = split.matching(Part::Training, &Selection::All, |_| true)?.len();
         split = split.by_model(|_| true);
         if split.matching(Part::Training, &Selection::All, |_| true)?.len() > before {
-            tell(Remark::Note(format!(
+            tell(Message::Note(format!(
                 "{}: the splats were trained on all frames (`eval=False`)",
                 args.path.display()
             )));
         }
     }
     let frames = split.select(Part::Training, selection, |_| true)?;
-    split.without_training().into_iter().for_each(|text| tell(Remark::Warning(text)));
+    split.without_training().into_iter().for_each(|text| tell(Message::Warning(text)));
     if let Some(model) = model {
         let stored = model.training_cameras().len();
         let matches = known_cameras(model, frames.iter().map(|frame| &frame.camera));
         let known: BTreeSet<usize> = matches.iter().flatten().copied().collect();
         let (others, absent) = (matches.iter().filter(|m| m.is_none()).count(), stored - known.len());
         if others + absent > 0 {
-            tell(Remark::Warning(format!(
+            tell(Message::Warning(format!(
                 "these are not the cameras that the model was trained on: {others} of these {} are others, {absent} of \
                  its {stored} are not among these; without --cameras those stored in the model are used",
                 frames.len()
@@ -255,7 +257,7 @@ mod tests {
         std::fs::write(folder.path().join("cfg_args"), "Namespace(eval=False)").unwrap();
         let source = CameraSource { file: Some(file), ..CameraSource::default() };
         let scene = ClosedForm::ball();
-        let trained = |model: Option<(&dyn RadianceField, &str)>| {
+        let trained = |model: Option<(&dyn Model, &str)>| {
             source.training(&Selection::All, model, &mut |_| ()).unwrap().views.frames.len()
         };
         assert_eq!((trained(None), trained(Some((&scene, "ball")))), (12, 11));

@@ -7,9 +7,10 @@ use glam::DVec3;
 
 use crate::dataset::Views;
 use crate::error::printable;
-use crate::estimate::{Framing, Subject};
-use crate::evaluate::{Remark, training_cameras};
+use crate::estimate::{Framing, Model};
+use crate::evaluate::training_cameras;
 use crate::geometry::Camera;
+use crate::monitor::Message;
 use crate::next_view::{Blank, Ranking};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
@@ -22,7 +23,7 @@ const UPSIDE_DOWN: f64 = -0.5;
 /// Candidates, and what they are ranked for.
 pub struct Candidates<'a> {
     /// The model.
-    pub model: Subject<'a>,
+    pub model: &'a dyn Model,
     /// Its name.
     pub model_name: &'a str,
     /// Its uncertainty.
@@ -42,14 +43,14 @@ impl Candidates<'_> {
     ///
     /// # Errors
     /// If none of them tells anything.
-    pub fn remark(&self, ranking: &Ranking, tell: &mut dyn FnMut(Remark)) -> Result<()> {
+    pub fn remark(&self, ranking: &Ranking, tell: &mut dyn FnMut(Message)) -> Result<()> {
         let (doubt, blanks) = (self.doubt(), self.blanks(ranking));
         if ranking.steps.is_empty() && ranking.complete {
             let cause = doubt.map_or(String::new(), |doubt| format!("; {doubt}"));
             return Err(Error::setting("candidates", format!("views that tell something{cause}"), blanks.join("; ")));
         }
-        blanks.into_iter().for_each(|text| tell(Remark::Note(text)));
-        doubt.into_iter().for_each(|text| tell(Remark::Warning(text)));
+        blanks.into_iter().for_each(|text| tell(Message::Note(text)));
+        doubt.into_iter().for_each(|text| tell(Message::Warning(text)));
         Ok(())
     }
 
@@ -68,11 +69,7 @@ impl Candidates<'_> {
 
     /// Why they may not be the cameras that were meant.
     fn doubt(&self) -> Option<String> {
-        let bounds = match self.model {
-            Subject::Volume(field) => field.bounds(),
-            Subject::Splats(splats) => splats.main_box(),
-        };
-        let framing = Framing::from_cameras(self.cameras, &bounds);
+        let framing = Framing::from_cameras(self.cameras, &self.model.main_box());
         if let Some(causes) = framing.causes() {
             return Some(format!(
                 "the candidates see little of the model: {}; likely causes: {causes}",

@@ -3,8 +3,9 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 24] = [
+const FLAGS: [(&str, &str); 27] = [
     ("angle of view", "--fov"),
+    ("audit", "--audit"),
     ("candidates", "--candidates"),
     ("criteria", "--refine"),
     ("criterion `density`", "--refine density"),
@@ -13,11 +14,13 @@ const FLAGS: [(&str, &str); 24] = [
     ("depth", "--depth"),
     ("depth encoding", "--depth-encoding"),
     ("error bars", "--error-bars"),
+    ("gradient", "--gradient"),
     ("groups of rays", "--error-bars"),
     ("kept sums", "--keep-sums"),
     ("lambda", "--lambda"),
     ("map", "--map"),
     ("memory budget", "--memory"),
+    ("occupancy", "--occupancy"),
     ("points", "--points"),
     ("pooling", "--pooling"),
     ("probability", "--probability"),

@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use super::identity::unchanged;
 use crate::Result;
+use crate::estimate::Model;
 use crate::field::{Coordinates, RadianceField};
-use crate::open::{self, Model};
+use crate::open;
 use crate::splats::RenderMode;
 
 /// A model that was opened by its name.
@@ -16,7 +17,7 @@ pub struct OpenedModel {
     /// Its name: a file or a built-in scene.
     pub name: String,
     /// The model.
-    pub model: Model,
+    pub model: Arc<dyn Model>,
     /// Its coordinates, if it has a choice.
     pub coordinates: Option<Coordinates>,
     /// Checksum of its content, and of coordinates or mode.
@@ -47,9 +48,9 @@ impl OpenedModel {
     /// The volume, for what only volumes have.
     ///
     /// # Errors
-    /// If it is splats.
-    pub fn volume(&self) -> Result<&Arc<dyn RadianceField>> {
-        self.model.volume(&self.name)
+    /// If it is none.
+    pub fn volume(&self) -> Result<&dyn RadianceField> {
+        open::volume(&*self.model, &self.name)
     }
 
     /// Opens the model `name` for a run: in the coordinates of its file with its own cameras, and in those of

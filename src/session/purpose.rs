@@ -2,7 +2,7 @@
 
 use super::ScaleKind;
 use crate::estimate::GridSettings;
-use crate::evaluate::Remark;
+use crate::monitor::Message;
 use crate::posterior::Covariance;
 use crate::{Error, Result};
 
@@ -91,7 +91,7 @@ impl Choices {
         &self,
         grid: GridSettings,
         count: Option<usize>,
-        tell: &mut dyn FnMut(Remark),
+        tell: &mut dyn FnMut(Message),
     ) -> Result<GridSettings> {
         let level = match (self.purpose, count) {
             (Some(Purpose::Splats), None) => {
@@ -110,10 +110,10 @@ impl Choices {
         is_open(self.keep_sums.is_some(), keeps_sums.then(|| "--keep-sums".into()));
         match (self.purpose, count) {
             (Some(purpose), _) if !set.is_empty() => {
-                tell(Remark::Note(format!("--for {} sets {}", purpose.name(), set.join(", "))));
+                tell(Message::Note(format!("--for {} sets {}", purpose.name(), set.join(", "))));
             }
             (None, Some(count)) if !set.is_empty() => {
-                tell(Remark::Note(format!("{} by default for {count} splats", set.join(", "))));
+                tell(Message::Note(format!("{} by default for {count} splats", set.join(", "))));
             }
             _ => {}
         }
@@ -124,7 +124,7 @@ impl Choices {
             ];
             for missing in unfit.into_iter().flatten() {
                 let text = format!("--for {} needs {missing}, against what was given", purpose.name());
-                tell(Remark::Warning(text));
+                tell(Message::Warning(text));
             }
         }
         Ok(GridSettings {
@@ -150,7 +150,7 @@ mod tests {
     /// What is set, and the remarks.
     fn settled(choices: Choices, count: Option<usize>) -> (GridSettings, Vec<String>) {
         let mut texts = Vec::new();
-        let mut tell = |remark: Remark| texts.push(remark.to_string());
+        let mut tell = |remark: Message| texts.push(remark.to_string());
         let grid = choices.settle(GridSettings::default(), count, &mut tell).unwrap();
         (grid, texts)
     }

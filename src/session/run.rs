@@ -11,17 +11,14 @@ use super::training_args::TrainingArgs;
 use super::{Choices, Finished, Purpose, TrainingPixels, checks, world};
 use crate::dataset::{Frame, Views, memory_of_masks, read_masks};
 use crate::estimate::{
-    Audit, Checkpoint, ErrorBudget, Estimation, Goal, GridSettings, Outcome, RayError, RaySettings, Run, StepCheck,
-    Subject,
+    Audit, Checkpoint, ErrorBudget, Estimation, Feature, Goal, GridSettings, Model, Outcome, RayError, RaySettings,
+    Run, StepCheck, require,
 };
-use crate::evaluate::{
-    Compared, ImageCheck, Remark, TrainingImages, check_images, check_splat_images, memory_of_images,
-};
+use crate::evaluate::{Compared, ImageCheck, TrainingImages, check_images, memory_of_images};
 use crate::geometry::{Camera, Domain, Mask, kept_pixels};
-use crate::monitor::Monitor;
+use crate::monitor::{Message, Monitor};
 use crate::posterior::Scale;
-use crate::rays::{Pixels, RaySource, SamplesWriter};
-use crate::splats::{SplatRenderer, seen_domain};
+use crate::rays::{Pixels, SamplesWriter};
 use crate::{Error, Result};
 
 /// Why cameras may see little of splats.
@@ -80,7 +77,7 @@ pub struct Session {
 /// A run that was checked, before its first ray.
 pub struct Prepared<'a> {
     session: &'a Session,
-    model: Subject<'a>,
+    model: &'a dyn Model,
     monitor: &'a dyn Monitor,
     pub(super) run: Run<'a>,
     pub(super) grid: GridSettings,
@@ -128,32 +125,36 @@ impl Session {
     /// beside them (unless forced), as [`Estimation::prepare`], or if the work was interrupted.
     pub fn prepare<'a>(
         &'a self,
-        model: Subject<'a>,
+        model: &'a dyn Model,
         monitor: &'a dyn Monitor,
-        tell: &mut dyn FnMut(Remark),
+        tell: &mut dyn FnMut(Message),
     ) -> Result<Prepared<'a>> {
         let start = Instant::now();
         let choices = &self.choices;
-        let count = match model {
-            Subject::Volume(_) => None,
-            Subject::Splats(splats) => Some(splats.len()),
-        };
-        let grid = choices.settle(self.grid, count, tell)?;
-        if let (Some(Purpose::Depth), Subject::Volume(_), None) = (choices.purpose, model, &self.images) {
+        let grid = choices.settle(self.grid, Some(model.centers().len()).filter(|count| *count > 0), tell)?;
+        let compares = model.lacks(Feature::Images).is_none();
+        if let (Some(Purpose::Depth), true, None) = (choices.purpose, compares, &self.images) {
             let text = "deviations of depth lack the model's errors of colour: --images adds them";
-            tell(Remark::Note(text.into()));
+            tell(Message::Note(text.into()));
         }
-        if let Subject::Splats(splats) = model {
-            splats.notes().iter().for_each(|note| tell(Remark::Note(note.clone())));
-            checks::near(splats, &self.cameras, tell);
+        if self.audit {
+            require(model, Feature::March, "audit")?;
         }
+        if self.images.is_some() {
+            require(model, Feature::Images, "--images")?;
+        }
+        model.remarks(&self.cameras).into_iter().for_each(&mut *tell);
         checks::masks(&self.views, &self.masks, tell)?;
         let (rays, images) = self.settled(model, monitor, tell)?;
-        let domain = self.domain.map_or_else(|| self.covered(model, monitor, tell), Ok)?;
-        let noise = match model {
-            Subject::Volume(field) => field.training_noise(),
-            Subject::Splats(_) => None,
+        let domain = match self.domain {
+            Some(domain) => domain,
+            None => {
+                let (domain, messages) = model.covered(&self.cameras, self.rays.background, monitor)?;
+                messages.into_iter().for_each(&mut *tell);
+                domain
+            }
         };
+        let noise = model.training_noise();
         let pixels = kept_pixels(&self.cameras, &self.masks);
         let training = TrainingPixels { pixels: Some(pixels), noise };
         let grid = grid.scale(choices.scale().over(&domain, choices.noise, training)?);
@@ -166,8 +167,8 @@ impl Session {
         // Camera files have one kind of coordinates for these models. If rays meet matter, but outside the domain, they
         // are right.
         let is_chosen = self.has_chosen_coordinates && sight.meet_matter <= 2.0 * sight.meet_domain;
-        let is_of_splats = matches!(model, Subject::Splats(_));
-        let frame = if sight.causes().is_some() { self.other_frame(model)? } else { None };
+        let is_of_splats = !model.centers().is_empty();
+        let frame = if sight.causes().is_some() { world::other_frame(model.centers(), &self.views)? } else { None };
         let causes = [
             frame.as_deref().or(is_of_splats.then_some(FRAMES_OF_SPLATS)),
             is_chosen.then_some("--cameras in other units and axes than those of NeRF-synthetic"),
@@ -176,31 +177,25 @@ impl Session {
         checks::sight(&sight, &causes.into_iter().flatten().collect::<Vec<_>>(), tell)?;
         let step = run.check_step()?;
         let warnings = [run.check_positions()?.warning(), step.as_ref().and_then(StepCheck::warning)];
-        warnings.into_iter().flatten().for_each(|text| tell(Remark::Warning(text)));
+        warnings.into_iter().flatten().for_each(|text| tell(Message::Warning(text)));
         let audit = self.audit.then(|| run.audit()).transpose()?;
         let mut prepared = Prepared { session: self, model, monitor, run, grid, start, step, audit, images };
         prepared.check_images(sight.causes().is_none(), tell)?;
         Ok(prepared)
     }
 
-    /// The frame in which splats probably lie, if not in that of the cameras.
-    fn other_frame(&self, model: Subject) -> Result<Option<String>> {
-        match model {
-            Subject::Volume(_) => Ok(None),
-            Subject::Splats(splats) => world::other_frame(splats, &self.views),
-        }
-    }
-
     /// The settings of rays with the background that is used; and the comparison of splats with their images in front
     /// of it, if that decided.
     fn settled(
         &self,
-        model: Subject,
+        model: &dyn Model,
         monitor: &dyn Monitor,
-        tell: &mut dyn FnMut(Remark),
+        tell: &mut dyn FnMut(Message),
     ) -> Result<(RaySettings, Option<ImageCheck>)> {
         let rays = self.rays.background(self.background.unwrap_or(self.rays.background));
-        let Subject::Splats(splats) = model else { return Ok((rays, None)) };
+        if !model.leaves_background_open() {
+            return Ok((rays, None));
+        }
         let name = |color: Vec3| if color == Vec3::ONE { "white" } else { "black" };
         let args = TrainingArgs::beside(&self.files_of_training());
         if let Some(args) = &args {
@@ -209,8 +204,8 @@ impl Session {
         if let Some((args, own)) = args.as_ref().and_then(|args| Some((args, args.background()?))) {
             let (path, own_name) = (args.path.display(), name(own));
             match self.background {
-                None => tell(Remark::Note(format!("{path}: {own_name} lay behind the splats (--background)"))),
-                Some(chosen) if chosen != own => tell(Remark::Warning(format!(
+                None => tell(Message::Note(format!("{path}: {own_name} lay behind the splats (--background)"))),
+                Some(chosen) if chosen != own => tell(Message::Warning(format!(
                     "{path}: {own_name} lay behind the splats in training, but not by --background"
                 ))),
                 Some(_) => {}
@@ -220,19 +215,19 @@ impl Session {
         if self.background.is_some() {
             return Ok((rays, None));
         }
-        let renderer = SplatRenderer::new(splats, rays.background);
-        SplatRenderer::check_cameras(&self.cameras)?;
-        let offset = rays.offset_for_splats();
-        let found = check_splat_images(&renderer, self.frames_with_images(), offset, None, monitor)?;
+        self.cameras.iter().try_for_each(|camera| model.check_camera(camera))?;
+        let renderer = model.for_images(&rays, None, monitor)?;
+        let (known, offset) = (model.training_cameras(), rays.offset_for(model));
+        let found = check_images(&*renderer, known, self.frames_with_images(), offset, None, monitor)?;
         if let Some((best, [psnr, other])) = found.as_ref().and_then(ImageCheck::clear_background) {
-            tell(Remark::Note(format!(
+            tell(Message::Note(format!(
                 "{} lay behind the splats by the images beside the cameras: {psnr:.1} dB, {other:.1} dB otherwise \
                  (--background)",
                 name(best)
             )));
             return Ok((rays.background(best), found.filter(|_| best == rays.background)));
         }
-        tell(Remark::Note(format!(
+        tell(Message::Note(format!(
             "it is not known what lay behind the splats in training: {} is assumed; the original code has black \
              unless `white_background` is set (--background)",
             name(rays.background)
@@ -261,42 +256,9 @@ impl Session {
         Ok(masks.max(memory_of_images(self.frames_with_images())))
     }
 
-    /// The space that the field covers if nobody says another.
-    fn covered(&self, model: Subject, monitor: &dyn Monitor, tell: &mut dyn FnMut(Remark)) -> Result<Domain> {
-        let (domain, sky) = match model {
-            Subject::Volume(field) => (field.natural_domain(), 0.0),
-            Subject::Splats(splats) => {
-                let seen = seen_domain(&SplatRenderer::new(splats, self.rays.background), &self.cameras, monitor)?;
-                if seen.behind > 0.0 {
-                    tell(Remark::Note(format!(
-                        "{:.0} % of what the cameras see lies far behind what they stand around, as a sky does; the \
-                         field leaves that out (--box or --contract covers it)",
-                        100.0 * seen.behind
-                    )));
-                }
-                (seen.domain, seen.behind)
-            }
-        };
-        match (model, domain) {
-            (_, Domain::Contracted { .. }) => {
-                tell(Remark::Note(format!("the field covers what the model does, {domain} (--box for a box)")));
-            }
-            (Subject::Splats(splats), Domain::Box(bounds)) => {
-                let [low, high] = [bounds.min(), bounds.max()];
-                let text = format!("the cameras see splats from {low:.3} to {high:.3}; the field covers that (--box)");
-                tell(Remark::Note(text));
-                if sky == 0.0 {
-                    checks::share(splats, &bounds, tell);
-                }
-            }
-            (Subject::Volume(_), Domain::Box(_)) => {}
-        }
-        Ok(domain)
-    }
-
     fn estimation<'a>(
         &'a self,
-        model: Subject<'a>,
+        model: &'a dyn Model,
         domain: Domain,
         rays: RaySettings,
         grid: GridSettings,
@@ -304,13 +266,10 @@ impl Session {
         if let Some(path) = &self.dump {
             self.writer.replace(Some(SamplesWriter::create(path)?));
         }
-        let estimation = match model {
-            Subject::Volume(field) => Estimation::new(field, &self.cameras),
-            Subject::Splats(splats) => Estimation::of_splats(splats, &self.cameras),
-        };
+        let estimation = Estimation::new(model, &self.cameras);
         let estimation =
             estimation.masks(&self.masks).domain(domain).rays(rays).grid(grid).goal(self.goal).source(&*self.source);
-        let estimation = self.checksum.into_iter().fold(estimation, Estimation::model);
+        let estimation = self.checksum.into_iter().fold(estimation, Estimation::checksum);
         let estimation = self.checkpoint.iter().cloned().fold(estimation, Estimation::checkpoint);
         Ok(match &self.dump {
             None => estimation,
@@ -321,12 +280,12 @@ impl Session {
     }
 
     /// Notes how many of the run's rays a checkpoint holds, if it holds any.
-    fn note_progress(&self, rays: u64, then: &str, tell: &mut dyn FnMut(Remark)) {
+    fn note_progress(&self, rays: u64, then: &str, tell: &mut dyn FnMut(Message)) {
         let Some(checkpoint) = &self.checkpoint else { return };
         let drawn = checkpoint.rays(self.goal.groups());
         if drawn > 0 {
             let path = checkpoint.path().display();
-            tell(Remark::Note(format!("{path} holds {drawn} of {rays} rays; {then}")));
+            tell(Message::Note(format!("{path} holds {drawn} of {rays} rays; {then}")));
         }
     }
 }
@@ -335,27 +294,28 @@ impl Prepared<'_> {
     /// Compares the model with the images beside the cameras. Refuses cameras whose images it does not show at all,
     /// unless forced. Warns if it shows them poorly, and of splats that may lie in another frame, unless images speak
     /// against that or it was said already. Notes how well splats show them.
-    fn check_images(&mut self, is_frame_open: bool, tell: &mut dyn FnMut(Remark)) -> Result<()> {
+    fn check_images(&mut self, is_frame_open: bool, tell: &mut dyn FnMut(Message)) -> Result<()> {
         let (session, stream) = (self.session, self.run.stream());
         let (frames, offset, room) = (session.frames_with_images(), stream.pixel_offset, self.run.room_for_pictures());
-        let found = match &stream.source {
-            _ if self.images.is_some() => self.images.take(),
-            RaySource::Volume(volume) => check_images(&volume.tracer, frames, offset, room, self.monitor)?,
-            RaySource::Splats(splats) => check_splat_images(splats, frames, offset, room, self.monitor)?,
+        let found = match self.images.take() {
+            Some(found) => Some(found),
+            None => check_images(&*stream.source, self.model.training_cameras(), frames, offset, room, self.monitor)?,
         };
         let are_shown = found.as_ref().is_some_and(|found| found.warnings().is_empty());
-        if let Some(frame) =
-            (is_frame_open && !are_shown).then(|| session.other_frame(self.model)).transpose()?.flatten()
+        if let Some(frame) = (is_frame_open && !are_shown)
+            .then(|| world::other_frame(self.model.centers(), &session.views))
+            .transpose()?
+            .flatten()
         {
-            tell(Remark::Warning(format!("probably {frame}")));
+            tell(Message::Warning(format!("probably {frame}")));
         }
         let Some(found) = found else { return Ok(()) };
         if !session.force {
             found.refuse()?;
         }
         let warnings = found.warnings();
-        found.note().filter(|_| warnings.is_empty()).into_iter().for_each(|text| tell(Remark::Note(text)));
-        warnings.into_iter().for_each(|text| tell(Remark::Warning(text)));
+        found.note().filter(|_| warnings.is_empty()).into_iter().for_each(|text| tell(Message::Note(text)));
+        warnings.into_iter().for_each(|text| tell(Message::Warning(text)));
         self.images = Some(found);
         Ok(())
     }
@@ -363,14 +323,11 @@ impl Prepared<'_> {
     /// Compares the model with its training images, if they were given.
     fn compared(&self) -> Result<Option<Compared>> {
         let Some(images) = &self.session.images else { return Ok(None) };
-        let Subject::Volume(field) = self.model else {
-            return Err(Error::setting("--images", "a volume, whose training images are compared with it", "splats"));
-        };
         let RaySettings { occupancy, march_step, pixel_offset, .. } = self.session.rays;
         let background = self.session.background.unwrap_or(self.session.rays.background);
         let settings = RaySettings { background, occupancy, march_step, pixel_offset, ..RaySettings::for_images() };
-        let tracer = settings.tracer(field, 0.0, self.monitor)?;
-        images.compare(&tracer, settings.offset_for(field), self.run.lattice(), self.monitor).map(Some)
+        let renderer = self.model.for_images(&settings, None, self.monitor)?;
+        images.compare(&*renderer, settings.offset_for(self.model), self.run.lattice(), self.monitor).map(Some)
     }
 
     /// The finest level.
@@ -393,7 +350,7 @@ impl Prepared<'_> {
     ///
     /// # Errors
     /// If a training image cannot be read, as [`Run::finish`], or if the samples cannot be written.
-    pub fn finish(self, tell: &mut dyn FnMut(Remark)) -> Result<Finished> {
+    pub fn finish(self, tell: &mut dyn FnMut(Message)) -> Result<Finished> {
         // Before the rays, so that a wrong image ends the work at once.
         let compared = self.compared()?;
         let Self { session, model, monitor, run, start, step, audit, images, .. } = self;
@@ -401,7 +358,7 @@ impl Prepared<'_> {
         let could_pool = grid.memory.is_none()
             && grid.tile.is_none()
             && session.rays.pixels != Pixels::Every
-            && run.stream().source.volume().is_some();
+            && model.lacks(Feature::Pooling).is_none();
         if session.checkpoint.as_ref().is_some_and(|checkpoint| !checkpoint.is_restart()) {
             session.note_progress(rays, "--restart discards them", tell);
         }
@@ -418,15 +375,15 @@ impl Prepared<'_> {
             let rays = progress.rays;
             let text =
                 format!("{rays} rays, the most by --rays, do not bring the mean error within {target:?} decades");
-            tell(Remark::Warning(text));
+            tell(Message::Warning(text));
         }
         if is_replanned {
             let text = "the rays took more or less memory than planned; the run started again";
-            tell(Remark::Note(text.into()));
+            tell(Message::Note(text.into()));
         }
         if let Some(first) = progress.first_invalid {
             let dropped = progress.dropped;
-            tell(Remark::Warning(format!("{dropped} rays dropped, the field is not finite; first at {first:?}")));
+            tell(Message::Warning(format!("{dropped} rays dropped, the field is not finite; first at {first:?}")));
         }
         if let Some(writer) = session.writer.take() {
             writer.finish(progress.rays, kept_pixels(&session.cameras, &session.masks))?;
@@ -436,9 +393,7 @@ impl Prepared<'_> {
             None => field,
         };
         checks::field(&field, session.grid.pooling, could_pool, tell);
-        if let Subject::Splats(splats) = model {
-            checks::unseen(splats, &field, &session.cameras, monitor, tell)?;
-        }
+        checks::unseen(model, &field, &session.cameras, monitor, tell)?;
         Ok(Finished {
             field,
             errors,

@@ -1,6 +1,6 @@
 //! A threshold of log10 U, as a number or by its share of visible surfaces.
 
-use crate::evaluate::Remark;
+use crate::monitor::Message;
 use crate::render::RenderedView;
 use crate::uncertainty::{Answers, NEARLY_ALL, threshold_warning};
 use crate::{Error, Result};
@@ -39,7 +39,7 @@ impl Threshold {
     ///
     /// # Errors
     /// If a share is asked of a field without points on visible surfaces, or if the field cannot be read.
-    pub fn log10(self, field: &dyn Answers, tell: &mut dyn FnMut(Remark)) -> Result<f64> {
+    pub fn log10(self, field: &dyn Answers, tell: &mut dyn FnMut(Message)) -> Result<f64> {
         let prior = field.record().reading().prior().log10();
         match self {
             Self::Log10(log10) => {
@@ -48,13 +48,13 @@ impl Threshold {
                     let hint = share.transpose()?.flatten().map_or(String::new(), |[usual]| {
                         format!("; as a share of visible surfaces, {log10}%, the threshold is log10 U = {usual:.3}")
                     });
-                    tell(Remark::Warning(format!(
+                    tell(Message::Warning(format!(
                         "--threshold: no density lies above {log10}: the field's largest log10 U, its prior, is \
                          {prior:.3}{hint}"
                     )));
                 }
                 let warning = threshold_warning(field, log10)?;
-                warning.iter().for_each(|text| tell(Remark::Warning(format!("--threshold: {text}"))));
+                warning.iter().for_each(|text| tell(Message::Warning(format!("--threshold: {text}"))));
                 Ok(log10)
             }
             Self::Share(share) => {
@@ -63,7 +63,7 @@ impl Threshold {
                     return Err(Error::setting("--threshold", expected, "one without"));
                 };
                 let percent = 100.0 * share;
-                tell(Remark::Note(format!("log10 U is at most {log10:.3} on {percent}% of the visible surfaces")));
+                tell(Message::Note(format!("log10 U is at most {log10:.3} on {percent}% of the visible surfaces")));
                 Ok(log10)
             }
         }
@@ -79,13 +79,13 @@ impl Threshold {
         view: &RenderedView,
         cleaned: &RenderedView,
         field: &dyn Answers,
-        tell: &mut dyn FnMut(Remark),
+        tell: &mut dyn FnMut(Message),
     ) -> Result<()> {
         let Some(removed) = removed_share(view, cleaned) else { return Ok(()) };
         let percent = 100.0 * removed;
         match self {
             Self::Share(kept) if removed > MAX_QUIET_PIXEL_SHARE.max(MAX_QUIET_RATIO * (1.0 - kept)) => {
-                tell(Remark::Note(format!(
+                tell(Message::Note(format!(
                     "the clean-up removes {percent:.1} % of the pixels that show matter in this view, although {}% \
                      of the visible surfaces stay: these pixels show fog, a side that no training ray saw, or what \
                      lies outside the field's box",
@@ -93,7 +93,7 @@ impl Threshold {
                 )));
             }
             Self::Log10(log10) if removed >= NEARLY_ALL && threshold_warning(field, log10)?.is_none() => {
-                tell(Remark::Warning(format!(
+                tell(Message::Warning(format!(
                     "the clean-up removes {percent:.1} % of the pixels that show matter in this view: log10 U is above \
                      {log10} there (a share of visible surfaces has a percent sign: --threshold 99%)"
                 )));

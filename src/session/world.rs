@@ -5,7 +5,6 @@ use rayon::prelude::*;
 
 use crate::Result;
 use crate::dataset::{Views, frame_beside, frames_of_training};
-use crate::splats::Splats;
 
 /// Most points of a COLMAP model, and most splats, that are compared.
 const POINTS: usize = 512;
@@ -21,13 +20,16 @@ const BETTER: f64 = 4.0;
 ///
 /// # Errors
 /// If a COLMAP model cannot be read.
-pub fn other_frame(splats: &Splats, views: &Views) -> Result<Option<String>> {
+pub fn other_frame(centers: &[Vec3], views: &Views) -> Result<Option<String>> {
+    if centers.is_empty() {
+        return Ok(None);
+    }
     let (frames, points) = frames_of_training(&views.path)?;
     let misfit = |frame: &crate::dataset::Similarity| {
         let placed: Vec<DVec3> = every(&points, POINTS).map(|point| frame.point(*point)).collect();
         let middle = placed.iter().sum::<DVec3>() / placed.len() as f64;
         let spread = median(placed.iter().map(|point| point.distance(middle)).collect());
-        let some: Vec<Vec3> = every(splats.means(), SPLATS).copied().collect();
+        let some: Vec<Vec3> = every(centers, SPLATS).copied().collect();
         let nearest = |point: &DVec3| {
             let point = point.as_vec3();
             f64::from(some.iter().map(|mean| mean.distance_squared(point)).fold(f32::INFINITY, f32::min).sqrt())
@@ -72,7 +74,6 @@ fn median(mut values: Vec<f64>) -> f64 {
 mod tests {
     use super::*;
     use crate::dataset::Similarity;
-    use crate::splats::RenderMode;
 
     /// A model of COLMAP in a new folder, with points in a slab that no turn maps onto itself.
     fn colmap() -> (tempfile::TempDir, Views) {
@@ -91,20 +92,8 @@ mod tests {
         (folder, views)
     }
 
-    fn splats(points: &[DVec3], frame: &Similarity) -> Splats {
-        let means: Vec<Vec3> = points.iter().map(|point| frame.point(*point).as_vec3()).collect();
-        let n = means.len();
-        let rotations = vec![glam::Quat::IDENTITY; n];
-        Splats::new(
-            means,
-            vec![Vec3::splat(-4.0); n],
-            rotations,
-            vec![0.0; n],
-            vec![0.0; 3 * n],
-            0,
-            RenderMode::Classic,
-        )
-        .unwrap()
+    fn splats(points: &[DVec3], frame: &Similarity) -> Vec<Vec3> {
+        points.iter().map(|point| frame.point(*point).as_vec3()).collect()
     }
 
     #[test]

@@ -27,7 +27,7 @@ pub use render::{SeenSpace, SplatRenderer, seen_domain, tile_of};
 pub(crate) use render::{boxed, middle};
 // What only the program, Python and the experiments name.
 #[doc(hidden)]
-pub use render::{Hit, Hits, NEAR, SplatView, Use, share_too_near};
+pub use render::{Hit, Hits, NEAR, SplatView, share_too_near};
 
 #[cfg(feature = "files")]
 use self::columns::Layout;

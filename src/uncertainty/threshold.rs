@@ -83,15 +83,6 @@ impl<'a> ThresholdedField<'a> {
         self.threshold
     }
 
-    /// Whether all that was said since the last call is true: without an answer from the uncertainty, there was no
-    /// density.
-    ///
-    /// # Errors
-    /// The first one of [`Answers::estimates`], once.
-    pub fn check(&self) -> Result<()> {
-        self.failure().take().map_or(Ok(()), Err)
-    }
-
     fn failure(&self) -> MutexGuard<'_, Option<Error>> {
         // A panic elsewhere leaves it sound: it is changed by single assignments.
         self.failure.lock().unwrap_or_else(PoisonError::into_inner)
@@ -150,6 +141,11 @@ impl RadianceField for ThresholdedField<'_> {
 
     fn memory(&self) -> usize {
         self.field.memory()
+    }
+
+    /// The first error of [`Answers::estimates`], once: without an answer from the uncertainty, there was no density.
+    fn check(&self) -> Result<()> {
+        self.failure().take().map_or(Ok(()), Err)
     }
 
     fn describe(&self) -> String {

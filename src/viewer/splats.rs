@@ -374,7 +374,7 @@ mod tests {
         let cameras: Vec<Camera> = (0..3).map(camera).collect();
         let rays = RaySettings::default().rays(2000);
         let grid = GridSettings::default().level(4);
-        let field = Estimation::of_splats(&splats, &cameras).rays(rays).grid(grid).run()?.field;
+        let field = Estimation::new(&splats, &cameras).rays(rays).grid(grid).run()?.field;
         let renderer = SplatRenderer::new(&splats, Vec3::ONE);
         let seen = SeenSplats::measure(&renderer, &cameras, 0.5, u64::MAX, &Silent)?;
         let page = Page {

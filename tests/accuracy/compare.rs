@@ -49,9 +49,9 @@ impl Case<'_> {
 
     /// Runs the pipeline on a field with the same values.
     pub fn run_through(&self, field: &dyn RadianceField, (rays, grid): (RaySettings, GridSettings)) -> Result<Run> {
-        let run = Estimation::new(field, self.cameras).rays(rays).grid(grid).prepare()?;
+        let run = Estimation::new(&field, self.cameras).rays(rays).grid(grid).prepare()?;
         let picks = run.stream().pixels.picks(0, rays.rays);
-        let h = run.stream().source.step();
+        let h = run.stream().source.marched().unwrap().difference_step();
         let Outcome { field, progress, .. } = run.finish()?;
         Ok(Run { field, progress, picks, h })
     }

@@ -11,5 +11,6 @@ mod rotation;
 mod scenes;
 mod self_check;
 mod single;
+mod third_kind;
 mod tolerance;
 mod zoo;

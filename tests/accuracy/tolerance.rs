@@ -159,7 +159,7 @@ fn octrees_of_the_data_are_within_the_tolerance_at_every_vertex() {
         // A coarser lattice and occupancy grid than the default ones, for time: what is claimed holds on all.
         let rays = RaySettings::default().rays(2_048).gradient(GradientMethod::Auto).occupancy(64);
         let grid = GridSettings::default().level(6).tolerance(tolerance);
-        let run = Estimation::new(&*model, &cameras).rays(rays).grid(grid).prepare().unwrap();
+        let run = Estimation::new(&model, &cameras).rays(rays).grid(grid).prepare().unwrap();
         let [pruned, all] = run.finish_on(&[grid, grid.tolerance(0.0)]).unwrap().try_into().unwrap();
         let [pruned, all] = [pruned, all].map(|outcome| outcome.field);
         let Support::Octree(octree) = all.support() else { panic!("an octree") };

@@ -11,7 +11,7 @@ use octobayes::evaluate::{ImageCheck, check_images};
 use octobayes::field::{ClosedForm, RadianceField};
 use octobayes::geometry::{Camera, inverted, opencv};
 use octobayes::monitor::Silent;
-use octobayes::render::{Marcher, Tracer, render_view};
+use octobayes::render::{Marcher, Tracer, VolumeRenderer, render_view};
 
 const RUN: &str = "--level 4 --rays 1000 --occupancy 32 -o x.oct";
 const SIDE: u32 = 40;
@@ -138,13 +138,17 @@ fn frames(folder: &Path, scene: &ClosedForm, cameras: &[Camera]) -> Vec<Frame> {
     cameras.iter().enumerate().map(write).collect()
 }
 
+fn renderer(scene: &ClosedForm) -> VolumeRenderer<'_> {
+    VolumeRenderer { tracer: tracer(scene), differentiation: None }
+}
+
 fn tracer(scene: &ClosedForm) -> Tracer<'_> {
     let marcher = Marcher { step: 0.02, bounds: scene.bounds(), occupancy: None, cutoff: 0.0 };
     Tracer { field: scene, marcher, background: Vec3::ONE }
 }
 
 fn found(scene: &ClosedForm, frames: &[Frame]) -> ImageCheck {
-    check_images(&tracer(scene), frames, 0.5, None, &Silent).unwrap().unwrap()
+    check_images(&renderer(scene), &[], frames, 0.5, None, &Silent).unwrap().unwrap()
 }
 
 #[test]
@@ -226,14 +230,14 @@ fn masked_pixels_and_other_shapes() {
     assert!(check.shapes == Some([[32, 16], [32, 32]]) && check.causes().contains("32 x 32 pixels"), "{check:?}");
     // Without images there is nothing to say.
     frames.iter_mut().for_each(|frame| frame.image = "none.png".into());
-    assert_eq!(check_images(&tracer(&scene), &frames, 0.5, None, &Silent).unwrap(), None);
+    assert_eq!(check_images(&renderer(&scene), &[], &frames, 0.5, None, &Silent).unwrap(), None);
 }
 
 #[test]
 fn images_that_a_budget_has_no_room_for_are_not_compared() {
     let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
     let frames = frames(folder.path(), &scene, &ClosedForm::half_circle(3, [32; 2]));
-    let check = |room| check_images(&tracer(&scene), &frames, 0.5, Some(room), &Silent).unwrap().unwrap();
+    let check = |room| check_images(&renderer(&scene), &[], &frames, 0.5, Some(room), &Silent).unwrap().unwrap();
     assert_eq!(check(3 * 32 * 32).images, 3);
     let check = check(3 * 32 * 32 - 1);
     assert!(check.images == 0 && check.refuse().is_ok(), "{check:?}");

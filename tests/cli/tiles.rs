@@ -15,7 +15,7 @@ use octobayes::geometry::{Camera, Domain, Norm};
 use octobayes::monitor::Silent;
 use octobayes::octree::Tile;
 use octobayes::posterior::{Covariance, Criterion, Pooling};
-use octobayes::render::{Probe, RayAverage, render_view};
+use octobayes::render::{Probe, RayAverage, VolumeRenderer, render_view};
 use octobayes::uncertainty::{
     Answers, Estimate, Support, ThresholdedField, TiledField, UncertaintyField, compare, finish_tiles, merge,
 };
@@ -213,7 +213,8 @@ fn exports_of_tiles_are_those_of_the_joined_field() {
     let joined = tiled.joined().unwrap();
     let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(3, [32, 24]));
     let tracer = RaySettings::default().occupancy(48).tracer(&scene, 0.0, &Silent).unwrap();
-    let seen = surfaces(&tracer, &cameras, 0.5, 1_000, &Silent).unwrap();
+    let renderer = VolumeRenderer { tracer, differentiation: None };
+    let seen = surfaces(&renderer, &cameras, 0.5, 1_000, &Silent).unwrap();
     let names = ["a", "b", "c"].map(String::from);
     let settings = MeshSettings { resolution: 24, density: None };
     let write = |name: &str, path: &Path, field: &dyn Answers| match name {

@@ -187,7 +187,7 @@ impl Args {
         let rays = RaySettings::default().rays(self.rays).gradient(GradientMethod::Auto);
         let start = Instant::now();
         let estimation =
-            Estimation::new(scene, &cameras).rays(rays).grid(grids[0]).source(&subject.source).monitor(bars);
+            Estimation::new(&scene, &cameras).rays(rays).grid(grids[0]).source(&subject.source).monitor(bars);
         let outcomes = estimation.prepare()?.finish_on(&grids)?;
         let rays_alone = start.elapsed() - outcomes.iter().map(|outcome| outcome.summing).sum::<Duration>();
         let RunProgress { rays, samples, .. } = outcomes[0].progress;

@@ -17,7 +17,7 @@ use super::streams::tell;
 use crate::estimate::RaySettings;
 use crate::evaluate::{Evaluation, Judged, Reading};
 use crate::io::AtomicFile;
-use crate::open::{Model, is_of_splats, open_model};
+use crate::open::{is_of_splats, open_model};
 use crate::posterior::Covariance;
 use crate::render::RayAverage;
 use crate::session::{OpenedModel, image_settings};
@@ -169,11 +169,11 @@ impl Args {
         let members = self.ensemble.iter().map(open);
         let members = members.collect::<Result<Vec<_>>>()?;
         let evaluation = Evaluation {
-            model: opened.model.subject(),
+            model: &*opened.model,
             name: self.model.model.clone(),
             settings,
             readings: &readings,
-            ensemble: self.ensemble.iter().cloned().zip(members.iter().map(Model::subject)).collect(),
+            ensemble: self.ensemble.iter().cloned().zip(members.iter().map(|member| &**member)).collect(),
             cameras: self.cameras.cameras.clone(),
             selection: self.frames.views.clone().unwrap_or_default(),
             stride: self.stride,

@@ -9,7 +9,7 @@ use super::parse::{parse_fov, parse_resolution, parse_views};
 use crate::Result;
 use crate::cli::streams::tell;
 use crate::dataset::{Part, Selection, Views, camera_file, passed_over};
-use crate::field::RadianceField;
+use crate::estimate::Model;
 use crate::session::{CameraSource, Resolution, TrainingCameras};
 
 /// A camera file.
@@ -123,19 +123,14 @@ impl CameraOptions {
         CameraSource { file: self.cameras.clone(), fov: self.fov, resolution: self.resolution, model_file: None }
     }
 
-    /// Reads the camera file, or else asks the model `name`; splats store no cameras.
-    pub fn read(&self, model: Option<&dyn RadianceField>, name: &str) -> Result<Views> {
+    /// Reads the camera file, or else takes the cameras of the model `name`.
+    pub fn read(&self, model: Option<&dyn Model>, name: &str) -> Result<Views> {
         self.source().read(model.map(|model| (model, name)), &mut tell)
     }
 
     /// The cameras that the model was trained on: its own, or the training frames of the camera file. Says on stderr
     /// which.
-    pub fn training(
-        &self,
-        options: &FrameOptions,
-        model: Option<&dyn RadianceField>,
-        name: &str,
-    ) -> Result<TrainingCameras> {
+    pub fn training(&self, options: &FrameOptions, model: Option<&dyn Model>, name: &str) -> Result<TrainingCameras> {
         let selection = options.views.clone().unwrap_or_default();
         let source = CameraSource { model_file: Some(PathBuf::from(name)), ..self.source() };
         let cameras = source.training(&selection, model.map(|model| (model, name)), &mut tell)?;

@@ -63,11 +63,11 @@ impl RayQuery {
         let opened = OpenedModel::of_field(field, path, &name, self.force, &mut streams::tell)?;
         let model = opened.volume()?;
         let settings = image_settings(field);
-        let tracer = settings.tracer(&**model, 0.0, bars)?;
+        let tracer = settings.tracer(model, 0.0, bars)?;
         // Fields in the paper's scale have no deviations of depth.
         let posterior = field.depth_posterior().ok();
         let probes = [Probe { field, averages: &[RayAverage::WeightedMean] }];
-        let differentiation = settings.differentiation(&**model, field.lattice())?;
+        let differentiation = settings.differentiation(model, field.lattice())?;
         let variances: Vec<&dyn DepthVariance> = posterior.iter().map(|p| p as _).collect();
         let depth = DepthProbe { differentiation, variances: &variances };
         let view = render_rays(&tracer, &self.ray, &probes, Some(&depth))?;

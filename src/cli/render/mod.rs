@@ -18,18 +18,14 @@ use super::options::{
 use super::progress::Bars;
 use super::streams::tell;
 use crate::dataset::{Frame, Part};
-use crate::estimate::RaySettings;
 use crate::evaluate::{Reading, TrainingViews};
-use crate::field::RadianceField;
 use crate::geometry::{Camera, MAX_PIXELS, upright};
 use crate::io::write_exr;
 use crate::monitor::Monitor;
-use crate::open::Model;
 use crate::picture::{draw_sheet, is_own_sheet, write_animation, write_sheet};
-use crate::render::{RayAverage, RenderedView, Renderer, VolumeRenderer};
+use crate::render::{RayAverage, RenderedView};
 use crate::session::{OpenedModel, Threshold, image_settings, scaled};
-use crate::splats::{SplatRenderer, Splats};
-use crate::uncertainty::{Answers, ThresholdedField, UncertaintyField, is_certain};
+use crate::uncertainty::{Answers, UncertaintyField};
 use crate::{Error, Result};
 
 /// Default longer side of a picture, pixels. A photograph at its own size takes minutes.
@@ -158,7 +154,7 @@ impl Args {
         if self.depth_error {
             field = OpenedField::Whole(Box::new(field.whole()?));
         }
-        let views = self.cameras.read(opened.model.field(), &opened.name)?;
+        let views = self.cameras.read(Some(&*opened.model), &opened.name)?;
         files.images(&views).check()?;
         // A frame that is not there is refused before any work.
         let wanted = self.frame.numbers();
@@ -180,42 +176,29 @@ impl Args {
         let baked = field.baked(pictures * cameras.iter().map(Camera::pixels).sum::<u64>());
         let space: &dyn Answers = baked.as_ref().map_or(field.space(), |baked| baked);
         let threshold = self.threshold.map(|threshold| threshold.log10(space, &mut tell)).transpose()?;
-        let volume = |model| self.volume(&settings, model, field.facts(), bars);
-        let (thresholded, kept);
-        let (whole, left, asking): (Box<dyn Renderer>, Option<Box<dyn Renderer>>, _);
-        let offset = match &opened.model {
-            Model::Volume(model) => {
-                thresholded = threshold.map(|threshold| ThresholdedField::new(&**model, space, threshold));
-                whole = Box::new(volume(&**model)?);
-                left = match &thresholded {
-                    Some(cleaned) => Some(Box::new(volume(cleaned)?)),
-                    None => None,
-                };
-                asking = thresholded.as_ref();
-                settings.offset_for(&**model)
+        let model = &*opened.model;
+        if self.depth_error && !model.centers().is_empty() && field.facts().conformal().is_none() {
+            announce!(
+                "note: deviations of depth are mostly the spread of the splats along a ray; `evaluate --calibrate` \
+                 scales them on views of known depth"
+            );
+        }
+        let lattice = self.depth_error.then(|| field.facts().lattice());
+        let whole = model.for_images(&settings, lattice, bars)?;
+        let part = match threshold.map(|threshold| model.certain_part(space, threshold)).transpose()? {
+            Some(None) => {
+                return Err(Error::setting("--threshold", "a threshold that leaves a part of the model", "none left"));
             }
-            Model::Splats(splats) => {
-                if self.depth_error && field.facts().conformal().is_none() {
-                    announce!(
-                        "note: deviations of depth are mostly the spread of the splats along a ray; `evaluate \
-                         --calibrate` scales them on views of known depth"
-                    );
-                }
-                let keep = |threshold| Splats::clone(splats).keep(&is_certain(splats, space, threshold)?);
-                kept = threshold.map(keep).transpose()?;
-                whole = Box::new(SplatRenderer::new(splats, settings.background));
-                let cleaned = kept.as_ref().map(|kept| SplatRenderer::new(kept, settings.background));
-                left = cleaned.map(|cleaned| Box::new(cleaned) as _);
-                asking = None;
-                settings.offset_for_splats()
-            }
+            part => part.flatten(),
         };
-        let known = opened.model.field().into_iter().flat_map(RadianceField::training_cameras);
-        let known: Vec<Camera> = known.map(|named| named.camera).collect();
+        let left = part.as_ref().map(|part| part.for_images(&settings, lattice, bars)).transpose()?;
+        let offset = settings.offset_for(model);
+        let known: Vec<Camera> = model.training_cameras().iter().map(|named| named.camera).collect();
         let is_told = self.depth_error && self.is_exr() && !known.is_empty();
         let shown = left.as_deref().unwrap_or(&*whole);
         let training = is_told.then(|| TrainingViews::render(shown, &known, offset, bars)).transpose()?;
-        let cleaned = left.as_deref().zip(threshold).map(|(left, threshold)| Cleaned { left, threshold, asking });
+        let cleaned = left.as_deref().zip(part.as_deref()).zip(threshold);
+        let cleaned = cleaned.map(|((left, part), threshold)| Cleaned { left, threshold, part });
         let studio = Studio {
             field: field.facts(),
             space,
@@ -246,19 +229,6 @@ impl Args {
             bars.end();
         }
         say!("{}", self.output.display())
-    }
-
-    /// A volume as images show it, with what deviations of depth need if they are asked for.
-    fn volume<'a>(
-        &self,
-        settings: &RaySettings,
-        model: &'a dyn RadianceField,
-        field: &UncertaintyField,
-        bars: &Bars,
-    ) -> Result<VolumeRenderer<'a>> {
-        let differentiation =
-            if self.depth_error { Some(settings.differentiation(model, field.lattice())?) } else { None };
-        Ok(VolumeRenderer { tracer: settings.tracer(model, 0.0, bars)?, differentiation })
     }
 
     /// Checks the kind of the output, and makes the folder of several.

@@ -3,11 +3,12 @@
 use crate::Result;
 use crate::cli::panels::{Ranges, depth_range, error_range, view_panels};
 use crate::cli::progress::Bars;
+use crate::estimate::Model;
 use crate::evaluate::TrainingViews;
 use crate::geometry::Camera;
 use crate::picture::Panel;
 use crate::render::{Probe, RayAverage, RenderedView, Renderer};
-use crate::uncertainty::{Answers, ThresholdedField, UncertaintyField, shown_log10, unknowns};
+use crate::uncertainty::{Answers, UncertaintyField, shown_log10, unknowns};
 
 /// What pictures are made of.
 pub struct Studio<'a> {
@@ -40,8 +41,8 @@ pub struct Cleaned<'a> {
     pub left: &'a dyn Renderer,
     /// The largest log10 U that is left.
     pub threshold: f64,
-    /// What asks the uncertainty while rays are marched, and keeps its errors; splats are asked before.
-    pub asking: Option<&'a ThresholdedField<'a>>,
+    /// The same as a model, which keeps the errors of the uncertainty.
+    pub part: &'a dyn Model,
 }
 
 impl Studio<'_> {
@@ -56,9 +57,9 @@ impl Studio<'_> {
 
     /// The view of a camera without what is uncertain, if that is wanted.
     pub fn cleaned_view(&self, camera: &Camera) -> Result<Option<RenderedView>> {
-        let Some(Cleaned { left, asking, .. }) = self.cleaned else { return Ok(None) };
+        let Some(Cleaned { left, part, .. }) = self.cleaned else { return Ok(None) };
         let view = self.view(left, camera)?;
-        asking.map_or(Ok(()), ThresholdedField::check).map(|()| Some(view))
+        part.check().map(|()| Some(view))
     }
 
     /// The view of a camera.

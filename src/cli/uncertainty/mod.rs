@@ -15,17 +15,16 @@ use super::options::{
 use super::progress::Bars;
 use super::report;
 use super::streams::tell;
+use crate::Result;
 use crate::dataset::Part;
 use crate::estimate::{Checkpoint, Goal, GridSettings, RaySettings};
 use crate::evaluate::TrainingImages;
 use crate::octree::Tile;
-use crate::open::Model;
 use crate::posterior::Criterion;
 use crate::rays::{Pixels, SamplesReader};
 use crate::render::{GradientMethod, Occupancy};
 use crate::session::{Needs, OpenedModel, Session};
 use crate::splats::RenderMode;
-use crate::{Error, Result};
 
 /// Compute the uncertainty of a trained field from its training cameras
 ///
@@ -269,10 +268,7 @@ impl Args {
         self.cameras.find(Part::Training);
         self.command_files().check()?;
         let model = OpenedModel::for_cameras(&self.model.model, self.cameras.cameras.is_some(), self.splat_mode)?;
-        if let Model::Splats(_) = &model.model {
-            self.refuse_for_splats(given)?;
-        }
-        let cameras = self.cameras.training(&self.frames, model.model.field(), &self.model.model)?;
+        let cameras = self.cameras.training(&self.frames, Some(&*model.model), &self.model.model)?;
         let find = |folder: &PathBuf| {
             self.grid.choices().scale().check_images()?;
             TrainingImages::find(folder, &cameras.views.frames)
@@ -298,7 +294,7 @@ impl Args {
             .force(self.force)
             .has_chosen_coordinates(model.coordinates.is_some() && self.cameras.cameras.is_some())
             .has_given_fov(self.cameras.fov.is_some());
-        let prepared = session.prepare(model.model.subject(), bars, &mut tell)?;
+        let prepared = session.prepare(&*model.model, bars, &mut tell)?;
         let Some(output) = self.output.as_ref().filter(|_| !self.dry_run) else {
             return self.print(&prepared.needs()?);
         };
@@ -310,25 +306,6 @@ impl Args {
         finished.replanned.iter().for_each(|plan| report::plan(plan, level));
         finished.save(output)?;
         report::finished(&finished, self.json)
-    }
-
-    /// Refuses options that mean nothing for splats, or that splats do not have yet.
-    fn refuse_for_splats(&self, given: &Given) -> Result<()> {
-        let marched = ["--gradient", "--cutoff", "--occupancy", "--audit"];
-        // Splats are always differentiated by their own derivatives, which `auto` asks for.
-        let refused = &marched[usize::from(self.gradient == GradientMethod::Auto)..];
-        given.refuse(refused, "a volume, whose rays are marched and whose density is differentiated", "splats")?;
-        let in_turn = ["--memory", "--target-error"];
-        given.refuse(
-            &in_turn,
-            "a volume: rays of splats are drawn camera by camera, so the first tell little",
-            "splats",
-        )?;
-        given.refuse(&["--images"], "a volume, whose training images are compared with it pixel by pixel", "splats")?;
-        if self.refine.contains(&Criterion::Density) {
-            return Err(Error::setting("--refine density", "a volume, which has a density", "splats"));
-        }
-        Ok(())
     }
 
     fn ray_settings(&self) -> RaySettings {

@@ -5,7 +5,7 @@ use glam::{DVec3, Quat, Vec3};
 use super::super::*;
 use super::After;
 use crate::Error;
-use crate::geometry::{Camera, Domain, Mask};
+use crate::geometry::{Camera, Domain, Lattice, Mask};
 use crate::monitor::Silent;
 use crate::posterior::{Criteria, Criterion, VertexSums};
 use crate::rays::{Pixels, Purpose, RayStream, RunProgress, Shard};
@@ -34,6 +34,10 @@ fn shell() -> Splats {
     Splats::new(means, scales, rotations, opacities, sh, 1, RenderMode::Classic).unwrap()
 }
 
+fn lattice() -> Lattice {
+    grid().lattice(domain()).unwrap()
+}
+
 fn cameras() -> Vec<Camera> {
     let eye = |i: u32| {
         let (sin, cos) = (f64::from(i) * 0.7).sin_cos();
@@ -57,7 +61,7 @@ fn grid() -> GridSettings {
 }
 
 fn run(splats: &Splats, cameras: &[Camera], rays: u64) -> UncertaintyField {
-    let run = Estimation::of_splats(splats, cameras).domain(domain()).rays(settings(rays)).grid(grid());
+    let run = Estimation::new(splats, cameras).domain(domain()).rays(settings(rays)).grid(grid());
     run.run().unwrap().field
 }
 
@@ -96,7 +100,7 @@ fn sums(batches: &[RaySamples]) -> Vec<VertexSums> {
 #[test]
 fn rays_are_those_of_cameras_in_turn_in_another_order() {
     let (splats, cameras) = (shell(), cameras());
-    let stream = settings(5000).splat_stream(&splats, &cameras).unwrap();
+    let stream = settings(5000).stream(&splats, &cameras, &lattice(), &Silent).unwrap();
     // A mask is part of it.
     let mask = Mask::new(cameras[2].resolution, |x, y| x > 10 && y < 33);
     let stream = stream.with_masks(&[None, None, Some(mask), None]).unwrap();
@@ -149,7 +153,7 @@ fn mix_of(ray: u64) -> usize {
 #[test]
 fn shards_have_all_rays_once_and_merge_to_the_whole() {
     let (splats, cameras) = (shell(), cameras());
-    let stream = settings(5000).splat_stream(&splats, &cameras).unwrap();
+    let stream = settings(5000).stream(&splats, &cameras, &lattice(), &Silent).unwrap();
     let whole: Vec<RaySamples> = drawn(&stream, Shard::whole(5000));
     let mut parts: Vec<RaySamples> = (0..3).flat_map(|i| drawn(&stream, Shard::new(5000, i, 3))).collect();
     parts.sort_by_key(|batch| batch.rays.first().copied());
@@ -157,7 +161,7 @@ fn shards_have_all_rays_once_and_merge_to_the_whole() {
     assert!(whole == parts);
 
     let shard = |i| {
-        let run = Estimation::of_splats(&splats, &cameras).domain(domain()).rays(settings(5000)).grid(grid());
+        let run = Estimation::new(&splats, &cameras).domain(domain()).rays(settings(5000)).grid(grid());
         run.shard(i, 3).run().unwrap().field
     };
     let merged = merge(&(0..3).map(shard).collect::<Vec<_>>()).unwrap();
@@ -170,7 +174,7 @@ fn a_run_through_every_pixel_is_drawn_camera_by_camera() {
     let (splats, cameras) = (shell(), cameras());
     let every = settings(1).pixels(Pixels::Every);
     let total: u64 = cameras.iter().map(Camera::pixels).sum();
-    let start = || Estimation::of_splats(&splats, &cameras).domain(domain()).rays(every).grid(grid());
+    let start = || Estimation::new(&splats, &cameras).domain(domain()).rays(every).grid(grid());
     let whole = start().run().unwrap();
     assert_eq!(whole.progress.rays, total);
     let merged = merge(&[0, 1].map(|i| start().shard(i, 2).run().unwrap().field)).unwrap();
@@ -185,7 +189,7 @@ fn a_resumed_run_ends_with_the_same_bits() {
     let (splats, cameras) = (shell(), cameras());
     let rays = 120_000;
     let started = || {
-        let run = Estimation::of_splats(&splats, &cameras).domain(domain()).rays(settings(rays)).grid(grid());
+        let run = Estimation::new(&splats, &cameras).domain(domain()).rays(settings(rays)).grid(grid());
         run.checkpoint(Checkpoint::new(folder.path().join("run.chk")))
     };
     let monitor = After::rays(60_000);
@@ -199,7 +203,7 @@ fn a_resumed_run_ends_with_the_same_bits() {
 fn octree_and_dense_agree() {
     let (splats, cameras) = (shell(), cameras());
     let dense = grid().grid(GridKind::Dense);
-    let run = Estimation::of_splats(&splats, &cameras).domain(domain()).rays(settings(20_000)).grid(grid());
+    let run = Estimation::new(&splats, &cameras).domain(domain()).rays(settings(20_000)).grid(grid());
     let fields = run.prepare().unwrap().finish_on(&[grid(), dense]).unwrap();
     let compared = crate::uncertainty::compare(&fields[0].field, &fields[1].field, 20_000, 1).unwrap();
     assert!(compared.in_box.clone().unwrap().max <= 0.01 + 1e-6, "{compared:?}");
@@ -210,7 +214,7 @@ fn octree_and_dense_agree() {
 fn a_run_is_the_sum_of_its_samples() {
     let (splats, cameras) = (shell(), cameras());
     let mut builder = FieldBuilder::new(grid(), domain()).unwrap();
-    let run = Estimation::of_splats(&splats, &cameras).domain(domain()).rays(settings(20_000)).grid(grid());
+    let run = Estimation::new(&splats, &cameras).domain(domain()).rays(settings(20_000)).grid(grid());
     let tapped = run.tap(|batches| {
         builder.add(batches);
         Ok(())
@@ -268,11 +272,11 @@ fn splats_that_no_ray_reaches_were_never_seen_whatever_their_uncertainty() {
 #[test]
 fn sight_tells_cameras_that_see_the_splats_from_others() {
     let (splats, cameras) = (shell(), cameras());
-    let stream = settings(5000).splat_stream(&splats, &cameras).unwrap();
+    let stream = settings(5000).stream(&splats, &cameras, &lattice(), &Silent).unwrap();
     let right = CoverageCheck::measure(&stream, &domain(), &Silent).unwrap();
     assert!(right.meet_domain > 0.3 && right.causes().is_none() && right.cut_off().is_none(), "{right:?}");
     let turned: Vec<Camera> = cameras.iter().map(crate::geometry::opencv).collect();
-    let stream = settings(5000).splat_stream(&splats, &turned).unwrap();
+    let stream = settings(5000).stream(&splats, &turned, &lattice(), &Silent).unwrap();
     let wrong = CoverageCheck::measure(&stream, &domain(), &Silent).unwrap();
     assert!(wrong.is_empty() && wrong.causes().unwrap().contains("OpenCV"), "{wrong:?}");
 }
@@ -348,7 +352,7 @@ fn a_sky_does_not_change_the_domain_of_an_object() {
 #[test]
 fn what_only_volumes_have_is_refused() {
     let (splats, cameras) = (shell(), cameras());
-    let start = || Estimation::of_splats(&splats, &cameras).domain(domain());
+    let start = || Estimation::new(&splats, &cameras).domain(domain());
     let refused = |run: Estimation, what: &str| {
         let error = run.prepare().err().unwrap_or_else(|| panic!("{what} is refused")).to_string();
         assert!(error.contains(what) && error.contains("splats"), "{error}");

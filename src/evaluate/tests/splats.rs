@@ -4,6 +4,7 @@ use glam::{DMat3, DVec3, Quat, Vec3};
 
 use super::*;
 use crate::estimate::GridKind;
+use crate::estimate::Model;
 use crate::geometry::Domain;
 use crate::posterior::{DataScale, Scale};
 use crate::splats::reference::{Gaussian, Shown, gaussians, shown};
@@ -43,7 +44,7 @@ fn field_of(splats: &Splats) -> UncertaintyField {
     let scale = DataScale::new(3 * 40 * 34, 0.03, DataScale::default_prior_deviation(&domain)).unwrap();
     let grid = GridSettings::default().grid(GridKind::Dense).level(LEVEL).covariance(Covariance::Block);
     let cameras = [0.0, 0.4, 0.8].map(from);
-    Estimation::of_splats(splats, &cameras)
+    Estimation::new(splats, &cameras)
         .domain(domain)
         .rays(RaySettings::default().rays(4000))
         .grid(grid.scale(Scale::Data(scale)).keep_sums(true))
@@ -191,9 +192,9 @@ fn training_views_of_splats_see_the_side_that_faces_them() {
 fn splats_are_cleaned_up_as_volumes_are() {
     let splats = shell();
     let field = field_of(&splats);
-    let model = ShownModel::Splats(SplatRenderer::new(&splats, Vec3::ONE));
+    let model = SplatRenderer::new(&splats, Vec3::ONE);
     let camera = from(0.6);
-    let view = model.renderer().image(&camera, 0.5, &[], &[], &Silent).unwrap();
+    let view = model.image(&camera, 0.5, &[], &[], &Silent).unwrap();
     let n = view.pixels.len();
     let truth = TrueView {
         name: "view".into(),
@@ -208,7 +209,7 @@ fn splats_are_cleaned_up_as_volumes_are() {
         readings: DepthReadings::default(),
     };
     // From below the least U to above the prior. The unit is that of a share of 0.
-    let cleaned = clean_up(&model, &field, &[truth], &[-5.0, 1.0], &Silent).unwrap();
+    let cleaned = clean_up(&splats, &model, &field, &[truth], &[-5.0, 1.0], &Silent).unwrap();
     let [before, gone, kept] = [0, 1, 2].map(|k| &cleaned[k]);
     assert_eq!((before.0.psnr, kept.0.psnr), (f64::INFINITY, f64::INFINITY));
     assert!(gone.1[0].pixels.len() == n && gone.0.coverage == 0.0 && gone.0.psnr < 25.0, "{:?}", gone.0);
@@ -224,7 +225,7 @@ fn splats_are_cleaned_up_as_volumes_are() {
     let middle = log10.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(u, _)| *u).fold(f64::MIN, f64::max);
     let expected = splats.clone().keep(&kept).unwrap();
     let expected = SplatRenderer::new(&expected, Vec3::ONE).image(&camera, 0.5, &[], &[], &Silent).unwrap();
-    let found =
-        model.with_certain_part(&field, middle, |left| left.unwrap().image(&camera, 0.5, &[], &[], &Silent)).unwrap();
+    let left = splats.certain_part(&field, middle).unwrap().unwrap();
+    let found = left.like(&model).image(&camera, 0.5, &[], &[], &Silent).unwrap();
     assert_eq!(found.pixels, expected.pixels);
 }

@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use glam::{DMat3, DVec3, Quat, Vec3};
 
 use super::*;
-use crate::estimate::Subject;
+use crate::estimate::Model;
 use crate::geometry::{Aabb, Distortion};
+use crate::render::ImagePoints;
 use crate::splats::{RenderMode, SplatRenderer, Splats};
 
 /// A ball of splats whose colours depend on the direction.
@@ -33,15 +34,16 @@ fn grid() -> Lattice {
     Lattice::from_domain(Domain::Box(Aabb::centered_cube(1.0)), 5).unwrap()
 }
 
-fn drawn(splats: &Splats) -> RaySource<'_> {
-    RaySource::Splats(SplatRenderer::new(splats, RaySettings::default().background))
+fn drawn(splats: &Splats) -> SplatRenderer<'_> {
+    SplatRenderer::new(splats, RaySettings::default().background)
 }
 
 fn dumped(splats: &Splats, cameras: &[Camera]) -> Vec<RaySamples> {
     let source = drawn(splats);
     let viewer = Viewer { cells: grid().coarsened(3), ..viewer(&source) };
-    let samples =
-        |camera| Look::new(&source, camera, Use::Derivatives).samples(&viewer.points(camera), &Silent).unwrap();
+    let samples = |camera| {
+        evidence::samples(&*source.view(camera, Outputs::Derivatives), &viewer.points(camera), &Silent).unwrap()
+    };
     cameras.iter().flat_map(samples).collect()
 }
 
@@ -100,7 +102,7 @@ fn gains_of_splats_are_those_of_sums_by_hand() {
     let (field, known) = (trained(&training, 2), by_hand(&training));
     assert!(known.len() > 500, "{} points", known.len());
     for gain in [Gain::Logdet, Gain::Trace] {
-        let next = NextView::of(Subject::Splats(&splats), &field, &cameras[2..]);
+        let next = NextView::new(&splats, &field, &cameras[2..]);
         let ranking = next.settings(settings().gain(gain).take(3)).run().unwrap();
         for (camera, found) in cameras[2..].iter().zip(&ranking.gains) {
             let expected = gain_by_hand(&known, &by_hand(&dumped(&splats, &[*camera])), gain);
@@ -146,7 +148,7 @@ fn rankings_of_splats_depend_neither_on_threads_nor_on_laziness() {
         let ranked = |threads: usize, rescoring, memory| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             let settings = settings().take(4).gain(gain).rescoring(rescoring).memory(memory);
-            let next = NextView::of(Subject::Splats(&splats), &field, &cameras[1..]);
+            let next = NextView::new(&splats, &field, &cameras[1..]);
             pool.install(|| next.training(&cameras[..1]).settings(settings).run()).unwrap()
         };
         let [one, two, full, again] = [
@@ -167,26 +169,26 @@ fn rankings_of_splats_depend_neither_on_threads_nor_on_laziness() {
 fn a_map_of_splats_is_of_the_views_own_pixels() {
     let (splats, cameras) = (ball(), circle());
     let field = trained(&dumped(&splats, &cameras[..1]), 1);
-    let next = NextView::of(Subject::Splats(&splats), &field, &cameras[4..5]).settings(settings());
+    let next = NextView::new(&splats, &field, &cameras[4..5]).settings(settings());
     let map = next.map(&cameras[4]).unwrap();
     assert_eq!((map.resolution, map.stride), ([SIDE; 2], 1));
     let known = by_hand(&dumped(&splats, &cameras[..1]));
     let source = drawn(&splats);
-    let look = Look::new(&source, &cameras[4], Use::Derivatives);
+    let view = source.view(&cameras[4], Outputs::Derivatives);
     for (column, row) in [(8_u32, 8_u32), (5, 9), (10, 6)] {
         let at = vec![[column, row].map(|i| f64::from(i) + 0.5)];
-        let points = look::Points { at, jitter: vec![0.5], first: 0 };
-        let pixel = by_hand(&look.samples(&[points], &Silent).unwrap());
+        let points = ImagePoints { at, jitter: vec![0.5], first: 0 };
+        let pixel = by_hand(&view.samples(&[points], &Silent).unwrap());
         let (expected, found) = (gain_by_hand(&known, &pixel, Gain::Logdet), map.gains[(row * SIDE + column) as usize]);
         assert!((f64::from(found) / expected - 1.0).abs() < 1e-6 && found > 0.0, "{found} {expected}");
     }
     // A map of every second pixel has the same values: splats grow by a part of the view's pixels, not of the map's.
     let large = cameras[4].resized([300, 20]);
-    let wide = NextView::of(Subject::Splats(&splats), &field, &cameras[4..5]).settings(settings()).map(&large).unwrap();
+    let wide = NextView::new(&splats, &field, &cameras[4..5]).settings(settings()).map(&large).unwrap();
     assert_eq!((wide.resolution, wide.stride), ([150, 10], 2));
-    let look = Look::new(&source, &large, Use::Derivatives);
-    let points = look::Points { at: vec![[150.5, 10.5]], jitter: vec![0.5], first: 0 };
-    let pixel = by_hand(&look.samples(&[points], &Silent).unwrap());
+    let view = source.view(&large, Outputs::Derivatives);
+    let points = ImagePoints { at: vec![[150.5, 10.5]], jitter: vec![0.5], first: 0 };
+    let pixel = by_hand(&view.samples(&[points], &Silent).unwrap());
     let (expected, found) = (gain_by_hand(&known, &pixel, Gain::Logdet), wide.gains[5 * 150 + 75]);
     assert!((f64::from(found) / expected - 1.0).abs() < 1e-6 && found > 0.0, "{found} {expected}");
 }
@@ -200,17 +202,17 @@ fn views_that_see_no_splat_say_why_and_lenses_that_distort_are_refused() {
     let middle = Camera::look_at(DVec3::ZERO, DVec3::X, DVec3::Z, 0.8, [SIDE, SIDE]);
     let candidates = [past, inside, cameras[4], middle];
     for gain in [Gain::Logdet, Gain::Coverage] {
-        let next = NextView::of(Subject::Splats(&splats), &field, &candidates).training(&cameras[..1]);
+        let next = NextView::new(&splats, &field, &candidates).training(&cameras[..1]);
         let ranking = next.settings(settings().take(4).gain(gain)).run().unwrap();
         assert_eq!(ranking.blanks, [Some(Blank::PastTheBox), Some(Blank::InMatter), None, None], "{gain:?}");
         assert!(ranking.gains[0] == 0.0 && ranking.gains[1] == 0.0 && ranking.gains[3] > 0.0, "{:?}", ranking.gains);
     }
     let eyes = candidates.map(|camera| camera.position);
-    assert_eq!(look::in_matter(&Subject::Splats(&splats), None, &eyes), [false, true, false, false]);
+    assert_eq!(Model::in_matter(&splats, None, &eyes), [false, true, false, false]);
     let bent = Camera { distortion: Distortion { k: [0.1, 0.0, 0.0, 0.0], p: [0.0; 2] }, ..cameras[4] };
-    let next = NextView::of(Subject::Splats(&splats), &field, &cameras[4..5]).training(&cameras[..1]);
+    let next = NextView::new(&splats, &field, &cameras[4..5]).training(&cameras[..1]);
     for refused in [
-        NextView::of(Subject::Splats(&splats), &field, &[bent]).settings(settings()).run().unwrap_err(),
+        NextView::new(&splats, &field, &[bent]).settings(settings()).run().unwrap_err(),
         next.training(&[bent]).settings(settings()).run().unwrap_err(),
     ] {
         assert!(refused.to_string().starts_with("cameras of splats: expected no lens distortion"), "{refused}");
@@ -226,10 +228,10 @@ fn a_side_that_no_training_ray_reached_is_known() {
     };
     let sides = [0.3, 0.3 + std::f64::consts::PI].map(at);
     let shares = |cameras: &[Camera]| {
-        let run = Estimation::of_splats(&splats, cameras);
+        let run = Estimation::new(&splats, cameras);
         let run = run.rays(RaySettings::default().rays(20_000)).grid(GridSettings::default().level(5));
         let field = run.run().unwrap().field;
-        let found = NextView::of(Subject::Splats(&splats), &field, &sides).unseen().unwrap();
+        let found = NextView::new(&splats, &field, &sides).unseen().unwrap();
         [0, 1].map(|i| found[i].unwrap())
     };
     let half = shares(&[0.0, 0.3, 0.6].map(at));

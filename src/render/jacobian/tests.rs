@@ -2,7 +2,8 @@ use super::*;
 use crate::field::{ClosedForm, RadianceField};
 use crate::geometry::Domain;
 use crate::monitor::Silent;
-use crate::render::{Differences, Marcher, Occupancy, Stencil, TracedRays};
+use crate::render::trace::TracedRays;
+use crate::render::{Differences, Marcher, Occupancy, Stencil};
 use proptest::prelude::*;
 
 /// Jacobians by central differences over ±h.

@@ -4,10 +4,11 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::project::Projector;
-use super::{Hits, SplatRenderer, Use};
+use super::{Hits, SplatRenderer};
 use crate::Result;
 use crate::geometry::{Aabb, Camera, Domain, Norm};
 use crate::monitor::{Monitor, check};
+use crate::render::Outputs;
 use crate::splats::Splats;
 
 /// Cameras that are looked through, and about how many pixels of each.
@@ -57,6 +58,20 @@ impl Splats {
     pub fn main_box(&self) -> Aabb {
         boxed(&self.means().iter().map(|x| (x.as_dvec3(), 1.0)).collect::<Vec<_>>(), BEYOND)
             .unwrap_or_else(|| self.bounds())
+    }
+
+    /// Whether a splat takes half of the light or more where the eye is.
+    #[must_use]
+    #[doc(hidden)]
+    pub fn is_in_one(&self, eye: DVec3) -> bool {
+        let takes_half = |i: usize| {
+            let opacity = f64::from(self.opacity(i));
+            // o exp(-q/2) >= 1/2, with q the squared distance in standard deviations.
+            let reach = 2.0 * (2.0 * opacity).ln();
+            let away = (self.rotation(i).inverse() * (eye.as_vec3() - self.mean(i))).as_dvec3();
+            opacity >= 0.5 && (away / self.scale(i).as_dvec3()).length_squared() <= reach
+        };
+        (0..self.len()).into_par_iter().with_min_len(4096).any(takes_half)
     }
 }
 
@@ -163,7 +178,7 @@ impl Seen {
         let mut weights = vec![[0.0_f64; 2]; means.len()];
         for camera in some(cameras) {
             check(monitor)?;
-            let view = renderer.prepare(camera, Use::Colors);
+            let view = renderer.prepare(camera, Outputs::Colors);
             let stride = ((camera.pixels() as f64 / PIXELS).sqrt() as u32).max(1);
             let rows: Vec<u32> = (stride / 2..camera.resolution[1]).step_by(stride as usize).collect();
             let of_row = |&row: &u32| {

@@ -3,14 +3,20 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::{Hits, SplatRenderer, SplatView, Use};
+use super::{Hits, SplatRenderer, SplatView, tile_of};
 use crate::Result;
 use crate::geometry::{Aabb, Camera, Ray};
 use crate::monitor::{Monitor, check};
-use crate::render::{CompositingWeights, DepthVariance, Probe, RenderedView, Renderer, WeightedRays, check_size};
+use crate::render::{
+    CameraView, CompositingWeights, DepthVariance, ImagePoints, Outputs, Probe, RaySamples, RenderedView, Renderer,
+    VisibleSegment, WeightedRays, WeightedSamples, check_size,
+};
 
 /// Rows of pixels that are composited together, so that probes are asked about many points at once: those of one tile.
 const ROWS: u32 = super::tiles::TILE;
+
+/// Image points that a thread lists together.
+const POINTS: usize = 256;
 
 impl Renderer for SplatRenderer<'_> {
     fn bounds(&self) -> Aabb {
@@ -21,12 +27,28 @@ impl Renderer for SplatRenderer<'_> {
         self.background.as_dvec3()
     }
 
-    fn march_step(&self) -> Option<f64> {
-        None
+    fn main_box(&self) -> Aabb {
+        self.splats.main_box()
     }
 
     fn takes_variances(&self) -> bool {
         true
+    }
+
+    fn memory(&self) -> usize {
+        self.splats.memory()
+    }
+
+    fn view<'v>(&'v self, camera: &Camera, to: Outputs) -> Box<dyn CameraView + 'v> {
+        Box::new(self.prepare(camera, to))
+    }
+
+    fn tile_of(&self, at: [f64; 2]) -> [u32; 2] {
+        tile_of(at)
+    }
+
+    fn stands_in_matter(&self, camera: &Camera, _sight: &[VisibleSegment]) -> bool {
+        self.splats.is_in_one(camera.position)
     }
 
     fn strided_image(
@@ -40,7 +62,7 @@ impl Renderer for SplatRenderer<'_> {
     ) -> Result<RenderedView> {
         check_size(camera)?;
         Self::check_cameras([camera])?;
-        let view = self.prepare(camera, if variances.is_empty() { Use::Colors } else { Use::Derivatives });
+        let view = self.prepare(camera, if variances.is_empty() { Outputs::Colors } else { Outputs::Derivatives });
         let resolution = camera.strided(stride, pixel_offset).resolution;
         let [width, height] = resolution;
         let bands: Vec<u32> = (0..height).step_by(ROWS as usize).collect();
@@ -61,15 +83,65 @@ impl Renderer for SplatRenderer<'_> {
         Self::check_cameras(views.iter().map(|(camera, _)| camera))?;
         let of_view = |(camera, points): &(Camera, Vec<[f64; 2]>)| {
             check(monitor)?;
-            self.prepare(camera, Use::Colors).points(points, &[], &[])
+            self.prepare(camera, Outputs::Colors).points(points, &[], &[])
         };
         let parts = views.iter().map(of_view).collect::<Result<Vec<RenderedView>>>()?;
         let points: usize = parts.iter().map(|part| part.pixels.len()).sum();
         Ok(RenderedView::joined([points as u32, 1], parts))
     }
+
+    fn weighted(&self, views: &[(Camera, Vec<[f64; 2]>)], monitor: &dyn Monitor) -> Result<WeightedSamples> {
+        let mut parts = Vec::new();
+        for (camera, points) in views {
+            check(monitor)?;
+            let view = self.prepare(camera, Outputs::Colors);
+            let weighted = points.par_chunks(POINTS).map(|points| view.weighted(points));
+            parts.extend(weighted.collect::<Vec<_>>());
+        }
+        Ok(WeightedSamples::joined(parts))
+    }
+}
+
+impl CameraView for SplatView<'_> {
+    fn samples(&self, points: &[ImagePoints], monitor: &dyn Monitor) -> Result<Vec<RaySamples>> {
+        let of_points = |points: &ImagePoints| {
+            let (mut hits, mut out) = (Hits::default(), RaySamples::default());
+            for (&at, index) in points.at.iter().zip(points.first..) {
+                self.push_samples(at, index, &mut hits, &mut out);
+            }
+            out
+        };
+        check(monitor).map(|()| points.par_iter().map(of_points).collect())
+    }
+
+    fn sight(&self, points: &[ImagePoints]) -> Vec<RaySamples> {
+        let of_points = |points: &ImagePoints| {
+            let mut hits = Hits::default();
+            let sight = points.at.iter().map(|&at| self.sight(at, &mut hits)).collect();
+            RaySamples { sight, ..RaySamples::default() }
+        };
+        points.par_iter().map(of_points).collect()
+    }
 }
 
 impl SplatView<'_> {
+    /// The splats that image points show, with their weights.
+    fn weighted(&self, points: &[[f64; 2]]) -> WeightedSamples {
+        let (mut hits, mut out) = (Hits::default(), WeightedSamples::default());
+        for &at in points {
+            let ray = self.camera.ray(at[0], at[1]);
+            self.hits(at, &mut hits);
+            for hit in &hits.list {
+                out.positions.push(self.renderer.splats.mean(self.splat(hit)));
+                out.weights.push(hit.weight());
+                out.t.push(self.distance(hit, &ray));
+            }
+            out.offsets.push(out.positions.len());
+            out.is_dropped.push(false);
+        }
+        out
+    }
+
     /// Renders single image points, as an image of one row.
     fn points(&self, points: &[[f64; 2]], probes: &[Probe], variances: &[&dyn DepthVariance]) -> Result<RenderedView> {
         let rays: Vec<Ray> = points.iter().map(|&[x, y]| self.camera.ray(x, y)).collect();

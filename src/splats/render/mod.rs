@@ -37,6 +37,7 @@ use self::project::{Footprint, Projector, Slope};
 use self::tiles::{Tiles, front_to_back};
 use super::Splats;
 use crate::geometry::{Aabb, Camera, Distortion};
+use crate::render::Outputs;
 use crate::{Error, Result};
 
 /// Splats in front of a background.
@@ -59,15 +60,6 @@ pub struct SplatView<'a> {
     /// `[footprints]`, if the view is to be differentiated.
     slopes: Vec<Slope>,
     tiles: Tiles,
-}
-
-/// Whether a view is to be differentiated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Use {
-    /// Only its colours.
-    Colors,
-    /// Its derivatives as well.
-    Derivatives,
 }
 
 impl<'a> SplatRenderer<'a> {
@@ -114,7 +106,7 @@ impl<'a> SplatRenderer<'a> {
     /// Projects, lists and sorts the splats that a camera without distortion sees.
     #[must_use]
     #[doc(hidden)]
-    pub fn prepare(&self, camera: &Camera, to: Use) -> SplatView<'a> {
+    pub fn prepare(&self, camera: &Camera, to: Outputs) -> SplatView<'a> {
         let projector = Projector::new(self.splats, camera);
         let footprints: Vec<Footprint> =
             (0..self.splats.len()).into_par_iter().with_min_len(1024).filter_map(|i| projector.footprint(i)).collect();
@@ -122,8 +114,8 @@ impl<'a> SplatRenderer<'a> {
         let order = front_to_back(&footprints);
         let footprints: Vec<Footprint> = order.par_iter().map(|&i| footprints[i as usize]).collect();
         let slopes: Vec<Slope> = match to {
-            Use::Colors => Vec::new(),
-            Use::Derivatives => {
+            Outputs::Colors => Vec::new(),
+            Outputs::Derivatives => {
                 footprints.par_iter().with_min_len(1024).map(|footprint| projector.slope(footprint)).collect()
             }
         };

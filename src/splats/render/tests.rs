@@ -105,7 +105,7 @@ pub fn compare_derivatives(splats: &Splats, camera: &Camera, stride: usize) -> [
     const H: f64 = 2e-6;
     let (mode, slow) = (splats.mode(), gaussians(splats));
     let renderer = SplatRenderer::new(splats, BACKGROUND);
-    let view = renderer.prepare(camera, Use::Derivatives);
+    let view = renderer.prepare(camera, Outputs::Derivatives);
     let mut of = [Compared::default(), Compared::default()];
     let (mut hits, width) = (Hits::default(), camera.resolution[0] as usize);
     for i in (0..camera.pixels() as usize).step_by(stride) {
@@ -164,7 +164,7 @@ fn a_splat_moved_along_the_ray_through_its_centre_stays_on_its_pixel() {
     // Off the axis: the motion on the image, ∂m/∂μ, has the ray as its kernel; what is left is the ellipse's growth.
     let splats = cloud(1, 0, RenderMode::Classic);
     let camera = near();
-    let view = SplatRenderer::new(&splats, BACKGROUND).prepare(&camera, Use::Derivatives);
+    let view = SplatRenderer::new(&splats, BACKGROUND).prepare(&camera, Outputs::Derivatives);
     let ([x, y], _) = camera.project(splats.mean(0).as_dvec3()).unwrap();
     let (mut hits, mut samples) = (Hits::default(), RaySamples::default());
     view.push_samples([x, y], 7, &mut hits, &mut samples);

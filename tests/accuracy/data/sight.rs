@@ -33,7 +33,7 @@ fn sight(model: &str, coordinates: Option<Coordinates>, cameras: Option<Vec<Came
     let domain = Domain::Box(field.bounds());
     let lattice = grid.lattice(domain).unwrap();
     let rays = RaySettings::default().occupancy(64).gradient(GradientMethod::Auto);
-    let stream = rays.stream(&*field, &cameras, &lattice, &Silent).unwrap();
+    let stream = rays.stream(&field, &cameras, &lattice, &Silent).unwrap();
     CoverageCheck::measure(&stream, &domain, &Silent).unwrap()
 }
 

@@ -77,7 +77,7 @@ fn depth_of_new_views_is_ranked() {
         let start = std::time::Instant::now();
         let grid = GridSettings::default().level(6).covariance(Covariance::Block).scale(Scale::Data(scale));
         let mut blocks = Blocks { sums: HashMap::new(), scale: 1.0, lambda: scale.lambda() };
-        let run = Estimation::of_splats(&splats, &cameras).domain(Domain::Box(bounds)).grid(grid);
+        let run = Estimation::new(&splats, &cameras).domain(Domain::Box(bounds)).grid(grid);
         let run = run.rays(RaySettings::default().rays(rays)).tap(|batches| {
             blocks.add(batches);
             Ok(())

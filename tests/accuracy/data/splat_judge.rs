@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use octobayes::dataset::{Selection, Views};
-use octobayes::estimate::{Estimation, GridSettings, RaySettings, Subject};
+use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::evaluate::{Evaluation, Reading, Report};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
@@ -23,13 +23,13 @@ fn judge(splats: &Splats, cameras: &[Camera], level: u8, folder: &Path) -> Repor
     let pixels = cameras.iter().map(Camera::pixels).sum();
     let scale = DataScale::new(pixels, 0.03, DataScale::default_prior_deviation(&domain)).unwrap();
     let grid = GridSettings::default().level(level).covariance(Covariance::Block).scale(Scale::Data(scale));
-    let run = Estimation::of_splats(splats, cameras).domain(domain).grid(grid.keep_sums(true));
+    let run = Estimation::new(splats, cameras).domain(domain).grid(grid.keep_sums(true));
     let field = run.rays(RaySettings::default().rays(1_000_000)).run().unwrap().field;
     let readings = Reading::from_field("lego", &field, Some(&[Covariance::Block]), None).unwrap();
     let cameras = folder.join("transforms_test.json");
     let views = Views::read(&cameras, None).unwrap();
     let evaluation = Evaluation {
-        model: Subject::Splats(splats),
+        model: splats,
         name: "lego".into(),
         settings: RaySettings::for_images(),
         readings: &readings,
