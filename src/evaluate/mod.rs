@@ -2,7 +2,7 @@
 //!
 //! All measures are compared on the same pixels. An [`Evaluation`] has the settings; it finds the files, renders all
 //! frames and returns a [`Report`]. In the order in which data flows: [`DepthFiles`] finds the depth maps of frames,
-//! and a [`TrueView`] is what a camera should see. [`Evaluator`] renders the [`ShownModel`] there, and computes the
+//! and a [`TrueView`] is what a camera should see. [`Evaluator`] renders the model there, and computes the
 //! depth error and all [`Measure`]s of uncertainty of every pixel. [`Score`] is how well each measure ranks the error.
 //! [`clean_up()`] removes what is too uncertain and compares the images.
 
