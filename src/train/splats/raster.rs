@@ -8,14 +8,14 @@ use glam::Vec3;
 use multiversion::multiversion;
 use rayon::prelude::*;
 
-use super::project::{Ellipse, FAINTEST, Moments};
+use super::project::{Ellipse, Moments};
+use crate::splats;
 
 /// Side of a tile, pixels.
 const SIDE: usize = 8;
-/// Largest α: light always passes.
-const MAX_ALPHA: f32 = 0.99;
-/// No splat is drawn behind which less light would be left.
-const DARK: f32 = 1e-4;
+const FAINTEST: f32 = splats::FAINTEST as f32;
+const MOST_OPAQUE: f32 = splats::MOST_OPAQUE as f32;
+const DARK: f32 = splats::DARK as f32;
 
 /// Eight pixels of a row.
 type Lanes = [f32; SIDE];
@@ -188,7 +188,7 @@ fn rows(ellipse: &Ellipse, top: usize) -> std::ops::Range<usize> {
 fn drawn(free: &Lanes, left: &Lanes, live: &mut Lanes) -> Lanes {
     let mut out = [0.0; SIDE];
     for l in 0..SIDE {
-        let alpha = free[l].min(MAX_ALPHA);
+        let alpha = free[l].min(MOST_OPAQUE);
         let is_drawn = if alpha >= FAINTEST { live[l] } else { 0.0 };
         let ends = if left[l] * (1.0 - alpha) < DARK { is_drawn } else { 0.0 };
         live[l] -= ends;
@@ -263,7 +263,7 @@ fn sum(
                 let own = red * by_red[l] + green * by_green[l] + blue * by_blue[l];
                 behind[l] -= weight * own;
                 let by_alpha = before * own - behind[l] / (1.0 - alpha[l]);
-                let s = if free[l] < MAX_ALPHA { by_alpha * alpha[l] } else { 0.0 };
+                let s = if free[l] < MOST_OPAQUE { by_alpha * alpha[l] } else { 0.0 };
                 let dx = dx - l as f32;
                 let (sx, sy) = (s * dx, s * dy);
                 sums[0][l] += s;

@@ -14,8 +14,7 @@ use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
 use rstar::RTree;
 
-use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH};
-use super::harmonics;
+use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH, constant_of};
 use crate::dataset::ScenePoint;
 use crate::geometry::Aabb;
 use crate::splats::{boxed, middle};
@@ -281,6 +280,6 @@ fn row(x: DVec3, color: Vec3, size: f64) -> Row {
     row[SCALE..SCALE + 3].fill((size as f32).ln());
     row[ROTATION + 3] = 1.0;
     row[LOGIT] = (OPACITY / (1.0 - OPACITY)).ln();
-    row[SH..SH + 3].copy_from_slice(&Vec3::map(color, harmonics::constant_of).to_array());
+    row[SH..SH + 3].copy_from_slice(&constant_of(color).to_array());
     row
 }
