@@ -6,7 +6,7 @@
 #[doc(hidden)]
 pub mod closed_form;
 #[cfg(feature = "files")]
-mod elementary;
+pub(crate) mod elementary;
 pub(crate) mod harmonics;
 #[cfg(feature = "train")]
 pub(crate) mod hash_grid;

@@ -19,6 +19,8 @@ use octobayes::render::{Probe, RayAverage, render_view};
 use octobayes::uncertainty::{
     Answers, Estimate, Support, ThresholdedField, TiledField, UncertaintyField, compare, finish_tiles, merge,
 };
+use rand::rngs::ChaCha8Rng;
+use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
 
 /// What a run on the courtyard gives, with these settings on top of the test's own.
@@ -125,11 +127,8 @@ fn tiles_joined_are_the_whole_bit_for_bit() {
 /// Points everywhere, on lattice planes where seams may be, on surfaces, and outside.
 fn probes(field: &UncertaintyField) -> Vec<Vec3> {
     let lattice = field.lattice();
-    let mut state = 7_u64;
-    let mut chance = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 11) as f64 / (1_u64 << 53) as f64
-    };
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let mut chance = || rng.random::<f64>();
     let inside = |unit: [f64; 3]| lattice.domain().clamp(lattice.domain().to_scene(DVec3::from(unit)).as_vec3());
     let mut points: Vec<Vec3> = Vec::new();
     for i in 0..20_000 {

@@ -17,6 +17,7 @@ use rstar::RTree;
 use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH, constant_of};
 use crate::dataset::ScenePoint;
 use crate::geometry::Aabb;
+use crate::metrics::median;
 use crate::splats::{boxed, middle};
 use crate::train::Shot;
 
@@ -255,9 +256,8 @@ fn spacing(points: &[DVec3]) -> f64 {
         let others = points.iter().map(|y| x.distance_squared(*y)).filter(|d| *d > 0.0);
         others.fold(f64::INFINITY, f64::min).sqrt()
     };
-    let mut distances: Vec<f64> = some.map(nearest).filter(|d| d.is_finite()).collect();
-    distances.sort_by(f64::total_cmp);
-    distances.get(distances.len() / 2).copied().unwrap_or(1.0)
+    let found = median(some.map(nearest).filter(|d| d.is_finite()));
+    if found.is_nan() { 1.0 } else { found }
 }
 
 /// The mean colour of the pixels that show `x`.
