@@ -32,7 +32,7 @@ pub(crate) use view::{WeightedRays, check_size};
 // What only the program, Python and the experiments name.
 #[doc(hidden)]
 pub use self::{
-    composite::{CompositingWeights, depth_variance, termination_entropy},
+    composite::{CompositingWeights, depth_variance},
     depth::{DepthProbe, DepthSample},
     gradient::{Differences, Stencil},
     jacobian::{JacobianBuffers, RayBatch},
