@@ -17,6 +17,8 @@ use octobayes::estimate::{GridSettings, RaySettings};
 use octobayes::octree::Tile;
 use octobayes::uncertainty::{Answers, TiledField, UncertaintyField, finish_tiles, merge};
 use octobayes::{Error, Result};
+use rand::rngs::ChaCha8Rng;
+use rand::{RngExt, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use common::clock::{Clock, Time};
@@ -140,11 +142,8 @@ fn size(path: &Path) -> u64 {
 /// Points everywhere near the ground of the city, in no order.
 fn points(field: &TiledField) -> Vec<Vec3> {
     let bounds = field.facts().lattice().domain().bounds().expect("the city is in a box");
-    let mut state = 1_u64;
-    let mut chance = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 11) as f64 / (1_u64 << 53) as f64
-    };
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut chance = || rng.random::<f64>();
     let size = bounds.size();
     let mut point = || bounds.min() + size * glam::DVec3::new(chance(), chance(), 0.03 + 0.03 * chance());
     (0..QUERIES).map(|_| point().as_vec3()).collect()

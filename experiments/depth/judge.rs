@@ -16,6 +16,7 @@ use octobayes::uncertainty::{Residuals, UncertaintyField};
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
+use crate::baselines::{Baselines, density_aware};
 use crate::candidates::candidates;
 use crate::common::clock::Clock;
 use crate::common::table::mean;
@@ -168,7 +169,7 @@ fn readings(fields: Vec<UncertaintyField>) -> Result<Vec<Reading>> {
 }
 
 fn averages() -> Vec<RayAverage> {
-    vec![RayAverage::USpread, RayAverage::AtExpected]
+    vec![RayAverage::USpread]
 }
 
 /// Judges a model beside the others of its ensemble, if there are any, and posteriors over its parameters, if they are
@@ -197,14 +198,18 @@ pub fn judge(
     let members = tracers.map(|tracer| Ok(VolumeRenderer { tracer: tracer?, differentiation: None }));
     let members = members.collect::<Result<Vec<_>>>()?;
     let mut evaluator = Evaluator { training: Some(&training), ..Evaluator::new(&plain, &readings) };
-    let regression = Regression::fit(&evaluator, &residuals, &data.for_regression(pixel_offset))?;
+    let baselines = Baselines { tracer: &tracer, field: &readings[0].field, training: &training };
+    let regression = Regression::fit(&evaluator, &baselines, &residuals, &data.for_regression(pixel_offset))?;
     evaluator.model = &model;
     if !members.is_empty() {
         evaluator.members = members.iter().chain([&plain]).map(|member| member as &dyn Renderer).collect();
     }
     let (mut views, mut unseen) = (Vec::new(), Vec::new());
-    let names = BESIDE.iter().chain(parameters.iter().flat_map(|_| &ParameterPosteriors::NAMES));
-    let mut beside: Vec<(String, Vec<f64>)> = names.map(|name| ((*name).to_owned(), Vec::new())).collect();
+    let empty = |names: &[&str]| names.iter().map(|name| ((*name).to_owned(), Vec::new())).collect::<Vec<_>>();
+    let mut beside = empty(&BESIDE);
+    beside.extend(parameters.iter().flat_map(|_| empty(&ParameterPosteriors::NAMES)));
+    let mut own = empty(&Baselines::NAMES);
+    own.extend((!members.is_empty()).then(|| ("density-aware ensemble".to_owned(), Vec::new())));
     for (seed, truth) in (0..).zip(data.held_out(pixel_offset, STRIDE)?) {
         let view = evaluator.evaluate(&truth, seed, &Silent)?;
         let width = truth.camera.resolution[0] as usize;
@@ -221,7 +226,12 @@ pub fn judge(
             beside[1].1.push(warped.color);
         }
         let pixel_residuals = pixel_residuals(&evaluator, &residuals, &truth, &view);
-        beside[2].1.extend(regression.of(&evaluator, &view, &pixel_residuals));
+        let found = baselines.of(&truth, &view);
+        beside[2].1.extend(regression.of(&view, &found, &pixel_residuals));
+        own.iter_mut().zip(found).for_each(|((_, all), values)| all.extend(values));
+        if !members.is_empty() {
+            own[Baselines::NAMES.len()].1.extend(density_aware(&evaluator.members, &truth, &view.pixels)?);
+        }
         beside[3].1.extend(pixel_residuals);
         if let Some(parameters) = parameters {
             for ((_, all), values) in beside[BESIDE.len()..].iter_mut().zip(parameters.of(&truth, &view)) {
@@ -230,6 +240,7 @@ pub fn judge(
         }
         views.push(view);
     }
+    beside.extend(own);
     // Maps with steps tell the depth to within a step, all values of which are as likely.
     row(&evaluator, &views, beside, &unseen, data.depth_step.powi(2) / 12.0)
         .map(|row| Row { edge, ..row })
@@ -252,8 +263,17 @@ fn row(
     let deviation = pooled(index(Measure::DepthDeviation(0))?);
     let posterior: Vec<f64> = deviation.iter().zip(&weights).map(|(d, w)| (d * d - w).max(0.0)).collect();
     let residuals = beside[BESIDE.len() - 1].1.clone();
-    let named = measures.iter().map(|&measure| evaluator.name(measure)).zip((0..).map(pooled));
-    let mut all: Vec<(String, Vec<f64>)> = named.take(measures.len()).collect();
+    let mut all = Vec::new();
+    for (m, &measure) in measures.iter().enumerate() {
+        let (name, values) = (evaluator.name(measure), pooled(m));
+        if let Measure::Reading(i, average) = measure {
+            let alone = values.iter().zip(&weights).map(|(v, w)| v - 0.5 * w.log10()).collect();
+            all.push((format!("{}, at-expected", evaluator.readings[i].name), alone));
+            all.push((format!("{name}, {}", average.name()), values));
+        } else {
+            all.push((name, values));
+        }
+    }
     all.extend(beside);
     candidates(&mut all, &weights, &posterior);
     let counts: Vec<usize> = views.iter().map(|view| view.absolute_error.len()).collect();

@@ -8,6 +8,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod baselines;
 mod candidates;
 mod correlations;
 mod full;

@@ -236,7 +236,7 @@ impl Look {
     fn color(&self, x: DVec3) -> Option<DVec3> {
         let camera = &self.image.camera;
         let ([column, row], _) = camera.project(x)?;
-        let is_seen = self.seen.sighting(x, camera.position).agreeing > 0;
+        let is_seen = self.seen.sighting(x).agreeing > 0;
         is_seen.then(|| self.image.colors[row as usize * camera.resolution[0] as usize + column as usize])
     }
 }

@@ -4,25 +4,18 @@ use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use glam::DVec3;
 use octobayes::Result;
-use octobayes::evaluate::{Baseline, EvaluatedView, Evaluator, Measure, TrueView};
+use octobayes::evaluate::{EvaluatedView, Evaluator, TrueView};
 use octobayes::monitor::Silent;
 use octobayes::uncertainty::Residuals;
 
+use crate::baselines::Baselines;
 use crate::judge::pixel_residuals;
 
-/// What errors of colour are explained by, beside the residuals; the angle to a training view is 0 on training views,
-/// and explains nothing there.
-const FEATURES: [Baseline; 6] = [
-    Baseline::RayVariance,
-    Baseline::RayEntropy,
-    Baseline::Transparency,
-    Baseline::RayCount,
-    Baseline::RayCoverage,
-    Baseline::TrainingViews,
-];
 /// The weight of coefficients of zero, in pixels.
 const RIDGE: f64 = 1.0;
-const WIDTH: usize = FEATURES.len() + 2;
+/// Variance of the ray's weights, the baselines but for the angle to a training view, which is 0 on training views and
+/// explains nothing there, residuals, and one.
+const WIDTH: usize = 8;
 /// The smallest residual: half a step of 8 bits.
 const LEAST: f64 = 0.5 / 255.0;
 
@@ -35,11 +28,12 @@ pub struct Regression {
 
 impl Regression {
     /// Fits residuals of these training images.
-    pub fn fit(evaluator: &Evaluator, shown: &Residuals, images: &[TrueView]) -> Result<Self> {
+    pub fn fit(evaluator: &Evaluator, baselines: &Baselines, shown: &Residuals, images: &[TrueView]) -> Result<Self> {
         let (mut rows, mut residuals) = (Vec::new(), Vec::new());
         for image in images {
             let view = evaluator.evaluate(image, 0, &Silent)?;
-            rows.extend(features(evaluator, &view, &pixel_residuals(evaluator, shown, image, &view)));
+            let of_images = pixel_residuals(evaluator, shown, image, &view);
+            rows.extend(features(&view, &baselines.of(image, &view), &of_images));
             let residual = |&i: &usize| color_error(view.rendered.pixels[i].color, image.colors[i]);
             residuals.extend(view.pixels.iter().map(residual));
         }
@@ -76,9 +70,9 @@ impl Regression {
     }
 
     /// The residual that is expected at each pixel of a view.
-    pub fn of(&self, evaluator: &Evaluator, view: &EvaluatedView, pixel_residuals: &[f64]) -> Vec<f64> {
+    pub fn of(&self, view: &EvaluatedView, baselines: &[Vec<f64>; 6], pixel_residuals: &[f64]) -> Vec<f64> {
         let expected = |row: [f64; WIDTH]| self.standard(&row).iter().zip(self.coefficients).map(|(x, c)| x * c).sum();
-        features(evaluator, view, pixel_residuals).map(expected).collect()
+        features(view, baselines, pixel_residuals).map(expected).collect()
     }
 }
 
@@ -88,23 +82,14 @@ fn color_error(found: DVec3, truth: DVec3) -> f64 {
 
 /// Features of the pixels of a view, the last of them one.
 fn features<'a>(
-    evaluator: &Evaluator,
     view: &'a EvaluatedView,
+    [entropy, transparency, count, coverage, views, _]: &'a [Vec<f64>; 6],
     pixel_residuals: &'a [f64],
 ) -> impl Iterator<Item = [f64; WIDTH]> + 'a {
-    let measures = evaluator.measures();
-    let index = |baseline| measures.iter().position(|found| *found == Measure::Baseline(baseline));
-    let indices = FEATURES.map(|baseline| index(baseline).expect("a measure of the evaluator"));
     let log10 = |value: f64| value.max(1e-12).log10();
-    pixel_residuals.iter().enumerate().map(move |(i, &residuals)| {
-        std::array::from_fn(|k| {
-            let Some(&m) = indices.get(k) else { return if k == FEATURES.len() { log10(residuals) } else { 1.0 } };
-            let value = view.measures[m][i];
-            match FEATURES[k] {
-                Baseline::RayVariance => log10(value),
-                Baseline::RayCount | Baseline::RayCoverage => (1.0 - value).log10(),
-                _ => value,
-            }
-        })
+    let rays = |value: f64| (1.0 - value).log10();
+    view.pixels.iter().zip(pixel_residuals).enumerate().map(move |(k, (&i, &residuals))| {
+        let variance = log10(view.rendered.pixels[i].depth_variance);
+        [variance, entropy[k], transparency[k], rays(count[k]), rays(coverage[k]), views[k], log10(residuals), 1.0]
     })
 }

@@ -2,12 +2,13 @@
 
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, Outcome, RaySettings};
+use octobayes::metrics::median;
 use octobayes::rays::Pixels;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Difference, UncertaintyField, compare};
 use serde::{Deserialize, Serialize};
 
-use crate::common::clock::{Clock, median};
+use crate::common::clock::Clock;
 use crate::common::scenes::Scene;
 use crate::common::table::{mean, spread};
 use crate::common::work::Work;

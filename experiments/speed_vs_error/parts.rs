@@ -3,13 +3,13 @@
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings};
 use octobayes::evaluate::Reading;
+use octobayes::metrics::median;
 use octobayes::picture::{Curve, write_plot};
 use octobayes::posterior::{Criterion, Pooling};
 use octobayes::rays::Pixels;
 use octobayes::render::{GradientMethod, RayAverage};
 
 use super::measure::{POINTS, Row, Rows, Run, SEEDS, alternating, grid, ratio, reference, run};
-use crate::common::clock::median;
 use crate::common::program::folder;
 use crate::common::ranking::Truth;
 use crate::common::scenes::Scene;
@@ -34,7 +34,7 @@ pub fn targets(work: &Work, lego: &Scene) -> Result<(String, String)> {
         work.row((format!("{gradient:?}"), time), make).map(Some)
     })?;
     for (gradient, of) in WAYS.iter().zip(&times) {
-        let middle = median(of.clone());
+        let middle = median(of.iter().copied());
         let least = of.iter().copied().fold(f64::INFINITY, f64::min);
         let most = of.iter().copied().fold(0.0, f64::max);
         let seconds = [middle, least, most].map(|seconds| format!("{seconds:.2}"));

@@ -9,13 +9,13 @@ use octobayes::Result;
 use octobayes::estimate::{Estimation, FieldBuilder, GridKind};
 use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet};
 use octobayes::geometry::{Aabb, Domain, Ray};
+use octobayes::metrics::median;
 use octobayes::monitor::Silent;
 use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::{CompositingWeights, GradientMethod, TraceBuffers};
 use rayon::prelude::*;
 
 use super::measure::{alternating, grid, ratio};
-use crate::common::clock::median;
 use crate::common::scenes::Scene;
 use crate::common::settings::{describe, seeds};
 use crate::common::table::Table;
@@ -211,7 +211,7 @@ fn costs(lego: &Scene) -> [f64; 4] {
         }
         start.elapsed().as_secs_f64() * 1e9 / n as f64
     };
-    [0, 1, 2, 3].map(|kind| median((0..9).map(|_| time(kind)).collect()))
+    [0, 1, 2, 3].map(|kind| median((0..9).map(|_| time(kind))))
 }
 
 /// Operations per second inside the MLP's network, and in a product of matrices alone.

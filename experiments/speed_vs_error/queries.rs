@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use glam::Vec3;
 use octobayes::estimate::GridKind;
+use octobayes::metrics::median;
 use octobayes::monitor::Silent;
 use octobayes::render::{GradientMethod, Probe, Probed, ProbedField, RayAverage, render_view};
 use octobayes::uncertainty::{BakedField, Estimate, UncertaintyField};
@@ -12,7 +13,6 @@ use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
 use super::measure::{self, alternating, grid, run};
-use crate::common::clock::median;
 use crate::common::scenes::Scene;
 use crate::common::settings::{describe, seeds};
 use crate::common::table::{Table, whole};

@@ -10,7 +10,7 @@ use glam::{DVec3, Quat, Vec3};
 use octobayes::Result;
 use octobayes::estimate::RaySettings;
 use octobayes::geometry::{Camera, Domain, Lattice};
-use octobayes::metrics::{Detection, spearman};
+use octobayes::metrics::{Detection, median, spearman};
 use octobayes::monitor::Silent;
 use octobayes::rays::{Pixels, RunProgress, Shard};
 use octobayes::render::{RenderedView, Renderer};
@@ -142,14 +142,10 @@ fn measure(mesh: &str, up: Up) -> Result<Row> {
     };
     let noise = 10_f64.powf(-after / 20.0);
     let scores = scores::all(&discs.at(&moved)?, &cameras, MeshScene::bounds(), noise)?;
-    let median = |mut values: Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2] / length
-    };
     Ok(Row {
         psnr: [before, after],
         never_seen: of(&lengths, true).len() as f64 / lengths.len() as f64,
-        left: [false, true].map(|is_unseen| median(of(&lengths, is_unseen))),
+        left: [false, true].map(|is_unseen| median(of(&lengths, is_unseen)) / length),
         scores: scores.iter().map(figures).collect(),
     })
 }

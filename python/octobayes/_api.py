@@ -562,7 +562,7 @@ def render(
 
     nerf, camera and the arguments not explained here: as in :func:`uncertainty`; of a camera file, ``frame`` is
     rendered. u: the model's uncertainty, or None for none. ray_average: how log10 U becomes a pixel's
-    ('weighted-mean', 'official', 'at-expected', 'u-spread', 'u-spread-per-root-ray'). threshold: remove density where
+    ('weighted-mean', 'u-spread', 'u-spread-per-root-ray'). threshold: remove density where
     log10 U exceeds this (or, as '99%', what it exceeds on the most certain 99 percent of visible surfaces).
     depth_error: the standard deviation of depth, too; u must be one of scale='data'. confirm: where three training
     cameras see a surface at the pixel's depth, for a model that stores its cameras; do not rely on the deviation

@@ -9,6 +9,7 @@ use super::views::Views;
 use super::{colmap, nerfstudio};
 use crate::Result;
 use crate::geometry::Camera;
+use crate::metrics::median;
 
 /// x ↦ scale · (rotation · x + translation).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -107,7 +108,7 @@ fn normalised_by_gsplat(cameras: &[Camera], points: &[DVec3]) -> Vec<Similarity>
         })
         .collect();
     let translation = -middle(&nearest);
-    let distances = cameras.iter().map(|camera| (rotation * camera.position + translation).length()).collect();
+    let distances = cameras.iter().map(|camera| (rotation * camera.position + translation).length());
     let upright = Similarity { rotation, translation, scale: 1.0 / median(distances) };
     let placed: Vec<DVec3> = points.iter().map(|point| upright.point(*point)).collect();
     let centre = middle(&placed);
@@ -121,15 +122,9 @@ fn normalised_by_gsplat(cameras: &[Camera], points: &[DVec3]) -> Vec<Similarity>
     signs.into_iter().map(frame).filter(|frame| frame.rotation.is_finite() && frame.scale.is_finite()).collect()
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    let n = values.len();
-    0.5 * (values[(n - 1) / 2] + values[n / 2])
-}
-
 /// The median along each axis.
 fn middle(points: &[DVec3]) -> DVec3 {
-    DVec3::from([0, 1, 2].map(|k| median(points.iter().map(|point| point[k]).collect())))
+    DVec3::from([0, 1, 2].map(|k| median(points.iter().map(|point| point[k]))))
 }
 
 /// Principal axes of points as rows, from the longest, right-handed: Jacobi's rotations of their covariance.

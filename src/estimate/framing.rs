@@ -1,6 +1,7 @@
 //! How cameras stand towards a box, by geometry alone.
 
 use crate::geometry::{Aabb, Camera, Ray, inverted, opencv};
+use crate::io::evenly;
 
 /// Approximate number of rays, a thousandth of a default run's. The standard error of a fraction is at most 0.008, so
 /// it is known to within 0.016 (two standard errors, at ½).
@@ -45,16 +46,14 @@ pub(super) struct View {
 }
 
 /// About `count` rays, equally many from each camera. All cameras use the same low-discrepancy sequence
-/// over the image (R₂: Roberts 2018).
+/// over the image.
 pub(super) fn views(cameras: &[Camera], count: usize, pixel_offset: f64) -> Vec<View> {
     let used = cameras.len().min(CAMERAS);
     let each = count.div_ceil(used.max(1)).max(8);
     let view = |i: usize| {
         let camera = cameras[i * cameras.len() / used];
-        let pixel = |n: usize, axis: usize| {
-            let share = (0.5 + (n + 1) as f64 * [0.754_877_666_246_693, 0.569_840_290_998_053_3][axis]).fract();
-            (share * f64::from(camera.resolution[axis])).floor() + pixel_offset
-        };
+        let pixel =
+            |n: usize, axis: usize| (evenly(n)[axis] * f64::from(camera.resolution[axis])).floor() + pixel_offset;
         let points: Vec<[f64; 2]> = (0..each).map(|n| [pixel(n, 0), pixel(n, 1)]).collect();
         View { camera, rays: points.iter().map(|&[x, y]| camera.ray(x, y)).collect(), points }
     };

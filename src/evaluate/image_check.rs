@@ -5,6 +5,7 @@ use glam::{DVec3, Vec3};
 
 use crate::dataset::{Frame, PosedImage, SampledImage, has_shape, measure, read_masks};
 use crate::geometry::{Camera, NamedCamera, inverted, opencv};
+use crate::io::evenly;
 use crate::metrics::psnr;
 use crate::monitor::{Monitor, check};
 use crate::render::Renderer;
@@ -187,11 +188,7 @@ impl Shown {
         }
         let mask = read_masks(std::slice::from_ref(frame))?.swap_remove(0);
         let place = |i: usize| -> [f64; 2] {
-            // R₂ (Roberts, 2018), as `Framing` places its rays.
-            let share = |of: f64, sides: u32| {
-                ((0.5 + (i + 1) as f64 * of).fract() * f64::from(sides)).floor().min(f64::from(sides - 1))
-            };
-            [share(0.754_877_666_246_693, camera.resolution[0]), share(0.569_840_290_998_053_3, camera.resolution[1])]
+            std::array::from_fn(|axis| (evenly(i)[axis] * f64::from(camera.resolution[axis])).floor())
         };
         // Pixel of an image of another size whose ray passes nearest.
         let in_image = |[x, y]: &[f64; 2]| {

@@ -147,7 +147,7 @@ impl<'a> Evaluation<'a> {
         }
         if let (false, true, true) = (self.model.stores_cameras(), training.is_empty(), depth.is_some()) {
             let text = "splats store no cameras, and no camera file beside them or --cameras has those of the field: \
-                        how many training views see a place, and from which angle, is left out";
+                        which depths training views confirm is left out";
             remarks.push(Message::Note(text.into()));
         }
         let maps = |folder: &PathBuf| self.training_maps(folder, &training);

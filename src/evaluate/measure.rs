@@ -75,27 +75,11 @@ pub enum Baseline {
     WeightsSpreadPerRootRay,
     /// s / n.
     WeightsSpreadPerRay,
-    /// [`crate::render::termination_entropy`] of the ray's weights.
-    RayEntropy,
-    /// 1 − opacity.
-    Transparency,
-    /// Minus the number of training rays that support what the pixel shows: the rays of the field's vertices,
-    /// averaged along the ray like [`RayAverage::WeightedMean`].
-    RayCount,
-    /// Minus the number of training rays that reached the expected depth
-    /// ([`RayCoverage`](crate::posterior::RayCoverage)).
-    RayCoverage,
-    /// Minus the number of training cameras that see the point at the expected depth.
-    TrainingViews,
-    /// The angle to the nearest training camera that sees it, radians; π if none does.
-    TrainingAngle,
     /// A random number per pixel.
     Random,
     /// [`crate::metrics::ensemble_variance`] of the median depth. Where a member shows nothing, its depth is that
     /// at which the ray leaves the box.
     EnsembleVariance,
-    /// [`crate::metrics::density_aware`].
-    DensityAware,
 }
 
 impl Baseline {
@@ -106,15 +90,8 @@ impl Baseline {
             Self::RayVariance => "ray-weight variance",
             Self::WeightsSpreadPerRootRay => "weights' spread / sqrt(rays)",
             Self::WeightsSpreadPerRay => "weights' spread / rays",
-            Self::RayEntropy => "ray entropy",
-            Self::Transparency => "1 - opacity",
-            Self::RayCount => "ray count",
-            Self::RayCoverage => "ray coverage",
-            Self::TrainingViews => "training views that see it",
-            Self::TrainingAngle => "angle to a training view",
             Self::Random => "random",
             Self::EnsembleVariance => "ensemble depth variance",
-            Self::DensityAware => "density-aware ensemble",
         }
     }
 }

@@ -31,7 +31,6 @@ pub use report::{Inside, NeverSeen, Part, Report, Scored, ViewReport};
 pub use score::{ByError, DepthError, Score};
 pub(crate) use training_cameras::training_cameras;
 pub use training_images::{Compared, TrainingImages, compare_images};
-pub(crate) use training_views::Sighting;
 
 // The parts of an evaluation, for this crate's experiments.
 #[doc(hidden)]

@@ -9,7 +9,7 @@ use crate::dataset::DepthReadings;
 use crate::estimate::{Estimation, GridSettings, RaySettings};
 use crate::field::{ClosedForm, Radiance, RadianceField};
 use crate::geometry::{Aabb, Camera, Domain};
-use crate::metrics::{Calibration, ErrorKind, density_aware, ensemble_variance};
+use crate::metrics::{Calibration, ErrorKind, ensemble_variance};
 use crate::monitor::Silent;
 use crate::posterior::{Covariance, DataScale, Scale};
 use crate::render::{RayAverage, Renderer, VolumeRenderer};
@@ -85,7 +85,7 @@ fn truth(ball: &ClosedForm, camera: &Camera) -> TrueView {
 fn what_no_training_camera_saw_is_told_and_detected() {
     let ball = ClosedForm::ball();
     let field = uncertainty(&ball);
-    let readings = [Reading { name: "U".into(), field, averages: vec![RayAverage::AtExpected] }];
+    let readings = [Reading { name: "U".into(), field, averages: vec![RayAverage::USpread] }];
     let model = renderer(&ball);
     let training = TrainingViews::render(&model, &cameras(), 0.5, &Silent).unwrap();
     // From the side and from behind, where the half circle of cameras does not reach.
@@ -100,7 +100,7 @@ fn what_no_training_camera_saw_is_told_and_detected() {
         for &i in &view.pixels {
             let [x, y] = [i % 24, i / 24].map(|n| n as f64 + 0.5);
             let surface = camera.ray(x, y).at(truth.distance[i].unwrap());
-            expected.push(training.sighting(surface, camera.position).views == 0);
+            expected.push(training.sighting(surface).views == 0);
         }
         assert!(without.evaluate(&truth, 0, &Silent).unwrap().never_seen.is_empty());
         evaluated.push(view);
@@ -109,7 +109,7 @@ fn what_no_training_camera_saw_is_told_and_detected() {
     assert_eq!(found, expected);
     let unseen = found.iter().filter(|unseen| **unseen).count();
     assert!(unseen > 20 && found.len() - unseen > 20, "{unseen} of {}", found.len());
-    // The first measure is U at the surface, the last is chance.
+    // The first measure is that of U, the last is chance.
     let last = evaluator.measures().len() - 1;
     let [of_u, of_chance] = [0, last].map(|m| Evaluator::detection(&evaluated, m).unwrap());
     assert_eq!(of_u.positives, unseen as f64 / found.len() as f64);
@@ -233,7 +233,7 @@ fn every_measure_is_of_the_same_pixels() {
         .map(|&c| Reading {
             name: c.name().into(),
             field: field.clone().with_covariance(c).unwrap(),
-            averages: vec![RayAverage::WeightedMean, RayAverage::AtExpected, RayAverage::USpread],
+            averages: vec![RayAverage::WeightedMean, RayAverage::USpread],
         })
         .collect();
     let nothing = Nothing(ball.bounds());
@@ -246,7 +246,7 @@ fn every_measure_is_of_the_same_pixels() {
     let n = view.pixels.len();
     assert!(n > 50 && view.empty == 0 && view.psnr == f64::INFINITY, "{n} pixels");
     let measures = evaluator.measures();
-    assert_eq!(measures.len(), 9 + 10);
+    assert_eq!(measures.len(), 6 + 5);
     assert!(view.measures.len() == measures.len() && view.measures.iter().all(|m| m.len() == n));
 
     let of = |measure| &view.measures[measures.iter().position(|m| *m == measure).unwrap()];
@@ -255,25 +255,21 @@ fn every_measure_is_of_the_same_pixels() {
         assert!((view.absolute_error[k] - 0.01 * (i % 24) as f64).abs() < 1e-12);
         let pixel = view.rendered.pixels[i];
         assert_eq!(baseline(Baseline::RayVariance)[k], pixel.depth_variance);
-        assert_eq!(baseline(Baseline::RayEntropy)[k], pixel.termination_entropy);
-        assert_eq!(baseline(Baseline::Transparency)[k], 1.0 - pixel.opacity);
         // The members are the ball and nothing: the ball's depth, and the depth at which the ray leaves the box.
         let ray = camera.ray((i % 24) as f64 + 0.5, (i / 24) as f64 + 0.5);
         let exit = ball.bounds().clip(&ray).unwrap().1;
         assert_eq!(baseline(Baseline::EnsembleVariance)[k], ensemble_variance(&[pixel.median_depth, exit]));
-        let expected = density_aware(&[pixel.color, DVec3::ONE], &[pixel.opacity, 0.0]);
-        assert_eq!(baseline(Baseline::DensityAware)[k], expected);
         let expected = ray.at(pixel.expected_depth).as_vec3();
         let deviation = (pixel.depth_variance + model.tracer.marcher.step.powi(2) / 12.0).sqrt();
         for (r, reading) in readings.iter().enumerate() {
             let (name, log10) = (&reading.name, |x| reading.field.log10(x));
-            assert_eq!(of(Measure::Reading(r, RayAverage::AtExpected))[k], log10(expected), "{name}");
             assert_eq!(of(Measure::Reading(r, RayAverage::USpread))[k], log10(expected) + deviation.log10(), "{name}");
         }
     }
-    // Fewer rays mean more uncertainty. Counts are those of the field, between none and all.
-    let counts = baseline(Baseline::RayCount);
-    assert!(counts.iter().all(|c| (-4096.0..=0.0).contains(c)) && counts.iter().any(|c| *c < -1.0));
+    // Counts are those of the field, between none and all.
+    let [per_root, per_ray] = [Baseline::WeightsSpreadPerRootRay, Baseline::WeightsSpreadPerRay].map(baseline);
+    let counts: Vec<f64> = per_root.iter().zip(per_ray).map(|(root, ray)| (root / ray).powi(2)).collect();
+    assert!(counts.iter().all(|c| (0.49..4097.0).contains(c)) && counts.iter().any(|c| *c > 1.0));
     // The random baseline differs between views but repeats for one seed.
     let random = measures.iter().position(|m| *m == Measure::Baseline(Baseline::Random)).unwrap();
     assert_eq!(baseline(Baseline::Random), &evaluator.evaluate(&truth, 7, &Silent).unwrap().measures[random]);

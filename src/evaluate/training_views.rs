@@ -1,9 +1,5 @@
-//! Which training cameras see a point, and from how different a direction.
-//!
-//! By the depth that the model shows them, this is a control that needs no Hessian: a place that many cameras see from
-//! near is known. By true depth, it is the truth about what was never seen.
-
-use std::f64::consts::PI;
+//! Which training cameras see a point: by the depth that the model shows them, or by true depth, which is the truth
+//! about what was never seen.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -51,9 +47,6 @@ pub struct Sighting {
     pub views: usize,
     /// How many of them see a surface there, and not through it.
     pub agreeing: usize,
-    /// Smallest angle between the direction it is looked at from and that of a camera that sees it, radians; π if none
-    /// does.
-    pub angle: f64,
 }
 
 impl TrainingViews {
@@ -128,7 +121,7 @@ impl TrainingViews {
 
     /// Whether [`CONFIRMING_VIEWS`] cameras see a surface at the point `x`.
     fn confirm(&self, x: DVec3) -> bool {
-        self.sighting(x, x).agreeing >= CONFIRMING_VIEWS
+        self.sighting(x).agreeing >= CONFIRMING_VIEWS
     }
 
     /// Whether [`CONFIRMING_VIEWS`] cameras see a surface at a pixel's median depth, for each pixel of a camera's view,
@@ -140,21 +133,23 @@ impl TrainingViews {
         points.map(|(pixel, x)| pixel.opacity > 0.0 && self.confirm(x)).collect()
     }
 
-    /// How the cameras see the point `x`, looked at from `eye`.
-    #[must_use]
-    pub fn sighting(&self, x: DVec3, eye: DVec3) -> Sighting {
-        let mut found = Sighting { views: 0, agreeing: 0, angle: PI };
-        for view in &self.views {
-            let Some((before_surface, slack)) = view.before_surface(x) else { continue };
+    /// The cameras that see the point `x`, and whether they see a surface there.
+    pub fn seeing(&self, x: DVec3) -> impl Iterator<Item = (&Camera, bool)> {
+        self.views.iter().filter_map(move |view| {
+            let (before_surface, slack) = view.before_surface(x)?;
             let slack = slack + self.slack;
-            if before_surface < -slack {
-                continue;
-            }
-            found.views += 1;
-            found.agreeing += usize::from(before_surface.abs() <= SAME_SURFACE * slack);
-            found.angle = found.angle.min((eye - x).angle_between(view.camera.position - x));
-        }
-        found
+            (before_surface >= -slack).then_some((&view.camera, before_surface.abs() <= SAME_SURFACE * slack))
+        })
+    }
+
+    /// How the cameras see the point `x`.
+    #[must_use]
+    pub fn sighting(&self, x: DVec3) -> Sighting {
+        let count = |found: Sighting, (_, agrees)| Sighting {
+            views: found.views + 1,
+            agreeing: found.agreeing + usize::from(agrees),
+        };
+        self.seeing(x).fold(Sighting { views: 0, agreeing: 0 }, count)
     }
 }
 
@@ -208,17 +203,17 @@ mod tests {
             let view = model.image(&camera, 0.5, &[], &[], &Silent).unwrap();
             camera.ray(32.5, 32.5).at(view.pixels[32 * 64 + 32].median_depth)
         };
-        let front = views.sighting(hit(DVec3::X), DVec3::new(3.0, 0.0, 0.1));
-        assert!((front.views, front.agreeing) == (1, 1) && front.angle < 0.05, "{front:?}");
-        let between = views.sighting(hit(DVec3::new(1.0, 1.0, 0.0).normalize()), DVec3::new(2.0, 2.0, 0.0));
-        assert!((between.views, between.agreeing) == (2, 2) && (0.6..1.2).contains(&between.angle), "{between:?}");
-        let back = views.sighting(hit(DVec3::new(-1.0, -1.0, 0.0).normalize()), DVec3::new(-3.0, -3.0, 0.0));
-        assert_eq!(back, Sighting { views: 0, agreeing: 0, angle: PI });
+        let front = views.sighting(hit(DVec3::X));
+        assert_eq!((front.views, front.agreeing), (1, 1));
+        let between = views.sighting(hit(DVec3::new(1.0, 1.0, 0.0).normalize()));
+        assert_eq!((between.views, between.agreeing), (2, 2));
+        let back = views.sighting(hit(DVec3::new(-1.0, -1.0, 0.0).normalize()));
+        assert_eq!(back, Sighting { views: 0, agreeing: 0 });
         // Outside of all pictures, and behind a camera.
-        assert_eq!(views.sighting(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO).views, 0);
-        assert_eq!(views.sighting(DVec3::new(8.0, 0.0, 0.0), DVec3::ZERO).views, 0);
+        assert_eq!(views.sighting(DVec3::new(0.0, 0.0, 3.0)).views, 0);
+        assert_eq!(views.sighting(DVec3::new(8.0, 0.0, 0.0)).views, 0);
         // Air in front of the ball, in the picture of one camera only: it is seen through.
-        let air = views.sighting(DVec3::new(1.4, 0.0, 0.0), DVec3::ZERO);
+        let air = views.sighting(DVec3::new(1.4, 0.0, 0.0));
         assert_eq!((air.views, air.agreeing), (1, 0));
     }
 
@@ -278,7 +273,7 @@ mod tests {
                 continue;
             }
             let expected = facing.iter().filter(|cos| **cos > 0.0).count();
-            assert_eq!(views.sighting(RADIUS * normal, DVec3::ZERO).views, expected, "at {normal}");
+            assert_eq!(views.sighting(RADIUS * normal).views, expected, "at {normal}");
             (seen, hidden) = (seen + usize::from(expected > 0), hidden + usize::from(expected == 0));
         }
         assert!(seen > 1000 && hidden > 500, "{seen} seen, {hidden} not");

@@ -1,18 +1,15 @@
 //! A rendered view beside the truth: depth errors and measures of uncertainty for the same pixels.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 
-use super::{Baseline, Measure, Part, Reading, Sighting, TrainingViews, TrueView};
+use super::{Baseline, Measure, Part, Reading, TrainingViews, TrueView};
 use crate::Result;
-use crate::metrics::{Calibration, Detection, density_aware, ensemble_variance, psnr};
+use crate::metrics::{Calibration, Detection, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
-use crate::posterior::RayCoverage;
-use crate::render::{
-    DepthVariance, MIN_SUPPORTING_RAYS, Probe, Probed, ProbedField, RayAverage, RenderedView, Renderer,
-};
-use crate::uncertainty::{BakedField, ColorSpread, DepthPosterior, UncertaintyField};
+use crate::render::{DepthVariance, MIN_SUPPORTING_RAYS, Probe, RenderedView, Renderer};
+use crate::uncertainty::{BakedField, ColorSpread, DepthPosterior};
 
 /// Bytes that a reading's field may take to answer faster.
 const MAX_BAKED_BYTES: usize = 256 << 20;
@@ -31,22 +28,6 @@ pub struct Evaluator<'a> {
     pub training: Option<&'a TrainingViews>,
     /// What those cameras truly saw, if that is known.
     pub truly_seen: Option<&'a TrainingViews>,
-}
-
-/// Training rays as the scalar: those that support a field's answers, 0 without a field.
-struct Counts<'a>(Option<&'a UncertaintyField>);
-
-impl Counts<'_> {
-    fn at_point(&self, x: Vec3) -> f64 {
-        self.0.map_or(0.0, |field| field.support_at(x))
-    }
-}
-
-impl ProbedField for Counts<'_> {
-    fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
-        let Some(field) = self.0 else { return Ok(vec![Probed { value: 0.0, rays: 0.0 }; points.len()]) };
-        Ok(ProbedField::at(field, points)?.iter().map(|at| Probed { value: at.rays, ..*at }).collect())
-    }
 }
 
 /// Errors and measures at the pixels of one view that have a true depth.
@@ -95,15 +76,9 @@ impl<'a> Evaluator<'a> {
         if self.counted().is_some() {
             baselines.extend([Baseline::WeightsSpreadPerRootRay, Baseline::WeightsSpreadPerRay]);
         }
-        baselines.extend([Baseline::RayEntropy, Baseline::Transparency]);
-        baselines.extend(self.counted().map(|_| Baseline::RayCount));
-        baselines.extend(self.ray_coverage().map(|_| Baseline::RayCoverage));
-        if self.training.is_some() {
-            baselines.extend([Baseline::TrainingViews, Baseline::TrainingAngle]);
-        }
         baselines.push(Baseline::Random);
         if !self.members.is_empty() {
-            baselines.extend([Baseline::EnsembleVariance, Baseline::DensityAware]);
+            baselines.push(Baseline::EnsembleVariance);
         }
         let deviations = self.posteriors().map(|(i, _)| Measure::DepthDeviation(i));
         let parts = self.posteriors().filter(|_| self.model.march_step().is_none());
@@ -136,11 +111,6 @@ impl<'a> Evaluator<'a> {
         self.readings.iter().find(|reading| !reading.field.rays().is_empty())
     }
 
-    /// The first reading whose field stores ray coverage.
-    fn ray_coverage(&self) -> Option<&RayCoverage> {
-        self.readings.iter().find_map(|reading| reading.field.ray_coverage())
-    }
-
     /// How differently training images show the same place, of the first reading whose field stores it.
     fn color_spread(&self) -> Option<&ColorSpread> {
         self.readings.iter().find_map(|reading| reading.field.color_spread())
@@ -152,17 +122,13 @@ impl<'a> Evaluator<'a> {
     /// [`crate::Error::Interrupted`], or if a model cannot render the camera.
     pub fn evaluate(&self, truth: &TrueView, seed: u64, monitor: &dyn Monitor) -> Result<EvaluatedView> {
         let probed = self.readings.iter().zip(&self.baked);
-        let mut probes: Vec<Probe> =
-            probed.map(|(reading, field)| Probe { field, averages: &reading.averages }).collect();
-        let counts = Counts(self.counted().map(|reading| &reading.field));
-        probes.push(Probe { field: &counts, averages: &[RayAverage::WeightedMean] });
+        let probes: Vec<Probe> = probed.map(|(reading, field)| Probe { field, averages: &reading.averages }).collect();
         check(monitor)?;
         let posteriors: Vec<DepthPosterior> = self.posteriors().map(|(_, posterior)| posterior).collect();
         let variances: Vec<&dyn DepthVariance> = posteriors.iter().map(|posterior| posterior as _).collect();
         let (camera, offset) = (&truth.camera, truth.pixel_offset);
         let (whole, stride) = (&truth.whole, truth.stride);
-        let mut rendered = self.model.strided_image(whole, stride, offset, &probes, &variances, monitor)?;
-        let mean_counts = rendered.log10_uncertainty.pop().expect("the last probe");
+        let rendered = self.model.strided_image(whole, stride, offset, &probes, &variances, monitor)?;
         let mut members = Vec::new();
         for member in &self.members {
             check(monitor)?;
@@ -178,16 +144,14 @@ impl<'a> Evaluator<'a> {
             let [x, y] = [i % width, i / width].map(|n| n as f64 + offset);
             camera.ray(x, y).at(depth)
         };
-        let hit = |i: usize| {
-            let x = at(i, rendered.pixels[i].expected_depth);
-            self.model.bounds().clamp(x.as_vec3())
+        let rays = |i: usize| {
+            let x = at(i, rendered.pixels[i].expected_depth).as_vec3();
+            let field = &self.counted().expect("a measure of fields that store their ray counts").field;
+            field.support_at(self.model.bounds().clamp(x)).clamp(MIN_SUPPORTING_RAYS, f64::INFINITY)
         };
-        let is_unseen = |views: &TrainingViews, i: usize, d: f64| views.sighting(at(i, d), camera.position).views == 0;
+        let is_unseen = |views: &TrainingViews, i: usize, d: f64| views.sighting(at(i, d)).views == 0;
         let never_seen: Vec<bool> =
             self.truly_seen.iter().flat_map(|views| seen.iter().map(|&(i, d)| is_unseen(views, i, d))).collect();
-        let sighting = |training: &TrainingViews, i: usize| training.sighting(hit(i).as_dvec3(), camera.position);
-        let sightings: Vec<Sighting> =
-            self.training.iter().flat_map(|training| pixels.iter().map(|&i| sighting(training, i))).collect();
         let confirmed = self.training.map(|training| training.confirmed(camera, offset, &rendered));
         let confirmed: Vec<bool> = confirmed.iter().flat_map(|all| pixels.iter().map(|&i| all[i])).collect();
         let colors = self.color_spread().map(|spread| spread.of_view(camera, offset, &rendered));
@@ -217,31 +181,12 @@ impl<'a> Evaluator<'a> {
                 }
                 Measure::Baseline(baseline) => match baseline {
                     Baseline::RayVariance => each(&|i| rendered.pixels[i].depth_variance),
-                    Baseline::RayEntropy => each(&|i| rendered.pixels[i].termination_entropy),
-                    Baseline::Transparency => each(&|i| 1.0 - rendered.pixels[i].opacity),
-                    Baseline::WeightsSpreadPerRootRay => {
-                        each(&|i| spread(i) / counts.at_point(hit(i)).clamp(MIN_SUPPORTING_RAYS, f64::INFINITY).sqrt())
-                    }
-                    Baseline::WeightsSpreadPerRay => {
-                        each(&|i| spread(i) / counts.at_point(hit(i)).clamp(MIN_SUPPORTING_RAYS, f64::INFINITY))
-                    }
-                    Baseline::RayCount => each(&|i| -mean_counts[i]),
-                    Baseline::RayCoverage => {
-                        let ray_coverage =
-                            |i| self.ray_coverage().and_then(|ray_coverage| ray_coverage.at(hit(i))).unwrap_or(0);
-                        each(&|i| -f64::from(ray_coverage(i)))
-                    }
-                    Baseline::TrainingViews => sightings.iter().map(|found| -(found.views as f64)).collect(),
-                    Baseline::TrainingAngle => sightings.iter().map(|found| found.angle).collect(),
+                    Baseline::WeightsSpreadPerRootRay => each(&|i| spread(i) / rays(i).sqrt()),
+                    Baseline::WeightsSpreadPerRay => each(&|i| spread(i) / rays(i)),
                     Baseline::Random => pixels.iter().map(|_| random.random()).collect(),
                     Baseline::EnsembleVariance => each(&|i| {
                         let depth = |m: &RenderedView| self.depth(truth, m, i);
                         ensemble_variance(&members.iter().map(depth).collect::<Vec<_>>())
-                    }),
-                    Baseline::DensityAware => each(&|i| {
-                        let colors: Vec<DVec3> = members.iter().map(|m| m.pixels[i].color).collect();
-                        let opacities: Vec<f64> = members.iter().map(|m| m.pixels[i].opacity).collect();
-                        density_aware(&colors, &opacities)
                     }),
                 },
             }

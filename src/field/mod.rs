@@ -6,9 +6,8 @@
 #[doc(hidden)]
 pub mod closed_form;
 #[cfg(feature = "files")]
-mod elementary;
-#[cfg(feature = "files")]
-mod harmonics;
+pub(crate) mod elementary;
+pub(crate) mod harmonics;
 #[cfg(feature = "train")]
 pub(crate) mod hash_grid;
 #[cfg(feature = "files")]

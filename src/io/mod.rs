@@ -33,7 +33,7 @@ pub use element::{Element, Index, Real};
 pub use exr::read_exr_depth;
 #[cfg(feature = "synth")]
 pub use exr::write_exr;
-pub use mix::mix;
+pub use mix::{evenly, mix};
 pub use source::open;
 #[cfg(feature = "files")]
 pub use source::refuse_pipe;

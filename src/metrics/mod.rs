@@ -18,8 +18,8 @@ pub use conformal::conformal_factor;
 #[cfg(feature = "evaluate")]
 pub use density::ErrorDensity;
 pub use detection::Detection;
-pub use ensemble::{density_aware, ensemble_variance};
+pub use ensemble::ensemble_variance;
 pub use image::psnr;
-pub use rank::{quantile, spearman};
+pub use rank::{median, quantile, spearman};
 pub use sparsification::{ErrorKind, STEPS, Sparsification, sparsification};
 pub use ssim::ssim;

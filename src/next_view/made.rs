@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use crate::estimate::Model;
 use crate::geometry::{Camera, Domain, upright};
+use crate::metrics::median;
 use crate::{Error, Result};
 
 /// Cameras around the middle of a domain, with the lens of one that there is.
@@ -35,18 +36,13 @@ impl Around {
             Domain::Box(bounds) => 0.5 * (bounds.min() + bounds.max()),
             Domain::Contracted { center, .. } => DVec3::from(*center),
         };
-        let median = |of: &dyn Fn(&Camera) -> f64| {
-            let mut values: Vec<f64> = cameras.iter().map(of).collect();
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
-        };
         let up = upright(cameras, up)?;
-        let distance = median(&|camera| camera.position.distance(middle));
+        let distance = median(cameras.iter().map(|camera| camera.position.distance(middle)));
         if !(distance > 0.0 && distance.is_finite()) {
             let found = format!("a median distance of {distance:e}");
             return Err(Error::setting("cameras", "cameras away from the middle of the box", found));
         }
-        let sine = median(&|camera| (camera.position - middle).normalize_or_zero().dot(up));
+        let sine = median(cameras.iter().map(|camera| (camera.position - middle).normalize_or_zero().dot(up)));
         Ok(Self { middle, distance, up, sine: sine.clamp(-0.95, 0.95), lens })
     }
 

@@ -159,6 +159,8 @@ impl Tiling {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use rand::rngs::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng};
 
     #[test]
     fn every_point_has_one_owner_whose_box_it_is_in() {
@@ -186,12 +188,13 @@ mod tests {
     }
 
     /// Boxes by cuts anywhere.
-    fn cut(finest: u8, bits: u32, mut choice: u64) -> Vec<Tile> {
+    fn cut(finest: u8, bits: u32, seed: u64) -> Vec<Tile> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut boxes = vec![([0; 3], [1 << finest; 3])];
         for _ in 0..bits {
             let mut halves = Vec::new();
             for (low, high) in boxes {
-                choice = choice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                let choice: u64 = rng.random();
                 let start = (choice >> 33) as usize;
                 let axis = (0..3).map(|i| (start + i) % 3).find(|&axis| high[axis] > low[axis] + 1).unwrap();
                 let plane = low[axis] + 1 + (choice >> 40) as u32 % (high[axis] - low[axis] - 1);

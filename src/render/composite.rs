@@ -27,8 +27,6 @@ pub struct Pixel {
     pub median_depth: f64,
     /// [`depth_variance`] of the weights, squared scene units; 0 where nothing was hit.
     pub depth_variance: f64,
-    /// [`termination_entropy`] of the weights, nats; 0 where nothing was hit.
-    pub termination_entropy: f64,
 }
 
 /// Variance of the depth at which a ray ends, given that it ends, in squared scene units; 0 without weights.
@@ -42,16 +40,6 @@ pub fn depth_variance(weights: &[f64], t: &[f64]) -> f64 {
     }
     let mean = weights.iter().zip(t).map(|(w, t)| w * t).sum::<f64>() / total;
     weights.iter().zip(t).map(|(w, t)| w * (t - mean) * (t - mean)).sum::<f64>() / total
-}
-
-/// Shannon entropy of where a ray ends, in nats: −Σ w ln w − T_end ln T_end.
-///
-/// Passing through (T_end = 1 − Σ w) is one of the outcomes. Thin fog therefore counts as uncertain, and a ray that
-/// meets nothing as certain.
-#[must_use]
-pub fn termination_entropy(weights: &[f64], end_transmittance: f64) -> f64 {
-    let of = |p: f64| if p > 0.0 { -p * p.ln() } else { 0.0 };
-    weights.iter().map(|&w| of(w)).sum::<f64>() + of(end_transmittance)
 }
 
 /// Weights of the samples of a group of rays, in order. The buffers are reused from group to group.
@@ -112,7 +100,6 @@ impl CompositingWeights {
             so_far += w;
         }
         pixel.depth_variance = depth_variance(weights, &t[samples.clone()]);
-        pixel.termination_entropy = termination_entropy(weights, self.end_transmittance(samples));
         pixel
     }
 
@@ -288,28 +275,21 @@ mod tests {
 
     #[test]
     fn spread_of_two_surfaces_and_of_a_slab() {
-        // A half-transparent wall at 2, an opaque one at 5: mean 3.5, variance 2.25, one bit of entropy.
+        // A half-transparent wall at 2, an opaque one at 5: mean 3.5, variance 2.25.
         assert!((depth_variance(&[0.5, 0.0, 0.5], &[2.0, 3.0, 5.0]) - 2.25).abs() < 1e-15);
-        assert!((termination_entropy(&[0.5, 0.0, 0.5], 0.0) - std::f64::consts::LN_2).abs() < 1e-15);
-        // The same through a veil: the variance is that of what is hit; the entropy includes passing through.
+        // The same through a veil: the variance is that of what is hit.
         assert!((depth_variance(&[0.25, 0.25], &[2.0, 5.0]) - 2.25).abs() < 1e-15);
-        assert!((termination_entropy(&[0.25, 0.25], 0.5) - 1.5 * std::f64::consts::LN_2).abs() < 1e-15);
         // Nothing hit, or one surface hit: certain.
-        assert_eq!((depth_variance(&[], &[]), termination_entropy(&[], 1.0)), (0.0, 0.0));
-        assert_eq!((depth_variance(&[1.0], &[7.0]), termination_entropy(&[1.0], 0.0)), (0.0, 0.0));
+        assert_eq!([depth_variance(&[], &[]), depth_variance(&[1.0], &[7.0])], [0.0, 0.0]);
 
-        // In an endless homogeneous medium the depth is exponentially distributed, with variance 1 / σ². With
-        // intervals δ the entropy is that of a geometric distribution, h(α) / α, where h is the binary entropy.
+        // In an endless homogeneous medium the depth is exponentially distributed, with variance 1 / σ².
         let (sigma, delta, n) = (4.0_f64, 0.01, 2000_u32);
-        let (quadrature, ray) = one_ray(&vec![sigma as f32; n as usize], delta);
+        let (quadrature, _) = one_ray(&vec![sigma as f32; n as usize], delta);
         let t: Vec<f64> = (0..n).map(|i| delta * (f64::from(i) + 0.5)).collect();
         let variance = depth_variance(&quadrature.weights, &t);
         // A geometric variable in steps of δ: δ² (1 − α) / α².
         let alpha = -(-sigma * delta).exp_m1();
         assert!((variance - delta * delta * (1.0 - alpha) / (alpha * alpha)).abs() < 1e-12, "{variance}");
         assert!((variance * sigma * sigma - 1.0).abs() < (sigma * delta).powi(2));
-        let entropy = termination_entropy(&quadrature.weights, quadrature.end_transmittance(&ray));
-        let binary = -alpha * alpha.ln() - (1.0 - alpha) * (1.0 - alpha).ln();
-        assert!((entropy - binary / alpha).abs() < 1e-12, "{entropy}");
     }
 }

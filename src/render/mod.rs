@@ -34,7 +34,7 @@ pub use volume::VolumeRenderer;
 // What only the program, Python and the experiments name.
 #[doc(hidden)]
 pub use self::{
-    composite::{CompositingWeights, depth_variance, termination_entropy},
+    composite::{CompositingWeights, depth_variance},
     depth::{DepthProbe, DepthSample},
     gradient::{Differences, Stencil},
     jacobian::{JacobianBuffers, RayBatch},

@@ -6,9 +6,6 @@ use super::RayAverage;
 use super::ray_average::Asked;
 use crate::Result;
 
-/// log10 U that the official code assigns to the part of a ray that hits nothing.
-const OFFICIAL_EMPTY: f64 = -3.0;
-
 /// Number of rays assumed where no ray supports U: less than one, but not zero, so that the score is finite.
 pub const MIN_SUPPORTING_RAYS: f64 = 0.5;
 
@@ -75,7 +72,6 @@ pub struct WeightedRay<'a> {
     /// Of its samples.
     pub weights: &'a [f64],
     pub positions: &'a [Vec3],
-    pub end_transmittance: f64,
     pub at_expected: Vec3,
     pub spread: f64,
 }
@@ -91,10 +87,8 @@ impl WeightedRay<'_> {
         let total: f64 = self.weights.iter().sum();
         let sum: f64 = self.hit().zip(at_samples).map(|((w, _), at)| w * at.value).sum();
         match average {
-            RayAverage::Official => sum + OFFICIAL_EMPTY * self.end_transmittance,
             _ if total <= 0.0 => f64::NAN,
             RayAverage::WeightedMean => sum / total,
-            RayAverage::AtExpected => at_expected.value,
             RayAverage::USpread => at_expected.value + self.spread.log10(),
             RayAverage::USpreadPerRootRay => {
                 let rays = at_expected.rays.clamp(MIN_SUPPORTING_RAYS, f64::INFINITY);
@@ -112,15 +106,13 @@ mod tests {
 
     #[test]
     fn blends_of_two_samples() {
-        // U = 1 with weight 0.3, U = 100 with weight 0.1, one sample without weight; 0.6 of the ray hits nothing.
+        // U = 1 with weight 0.3, U = 100 with weight 0.1, one sample without weight.
         let (weights, positions) = (&[0.3, 0.0, 0.1], &[Vec3::X, Vec3::Y, Vec3::Z]);
-        let ray = WeightedRay { weights, positions, end_transmittance: 0.6, at_expected: Vec3::X, spread: 0.1 };
+        let ray = WeightedRay { weights, positions, at_expected: Vec3::X, spread: 0.1 };
         let probed = |value| Probed { value, rays: 100.0 };
         let average = |average, at_expected| ray.average(average, &[probed(0.0), probed(2.0)], at_expected);
         let expected = [
             (RayAverage::WeightedMean, 0.2 / 0.4),
-            (RayAverage::Official, 0.2 - 3.0 * 0.6),
-            (RayAverage::AtExpected, 1.5),
             (RayAverage::USpread, 1.5 - 1.0),
             (RayAverage::USpreadPerRootRay, 1.5 - 1.0 - 1.0),
         ];
@@ -136,15 +128,11 @@ mod tests {
     }
 
     #[test]
-    fn a_ray_that_meets_nothing_has_no_value_but_the_official_one() {
+    fn a_ray_that_meets_nothing_has_no_value() {
         let (weights, positions) = (&[0.0], &[Vec3::X]);
-        let ray = WeightedRay { weights, positions, end_transmittance: 1.0, at_expected: Vec3::ZERO, spread: 0.1 };
+        let ray = WeightedRay { weights, positions, at_expected: Vec3::ZERO, spread: 0.1 };
         for average in RayAverage::ALL {
-            let found = ray.average(average, &[], Probed { value: 5.0, rays: 5.0 });
-            assert!(
-                if average == RayAverage::Official { found == -3.0 } else { found.is_nan() },
-                "{average:?}: {found}"
-            );
+            assert!(ray.average(average, &[], Probed { value: 5.0, rays: 5.0 }).is_nan(), "{average:?}");
         }
     }
 
@@ -166,23 +154,22 @@ mod tests {
         let ray = |samples: Range<usize>, x| WeightedRay {
             weights: &weights[samples.clone()],
             positions: &positions[samples],
-            end_transmittance: 0.0,
             at_expected: Vec3::X * x,
             spread: 1.0,
         };
         let rays = [ray(0..2, 7.0), ray(2..2, 0.0), ray(2..4, 8.0), ray(4..5, 0.0)];
         let field = Counting::default();
-        let kinds = [RayAverage::WeightedMean, RayAverage::AtExpected];
+        let kinds = [RayAverage::WeightedMean, RayAverage::USpread];
         let found = averages(&rays, &Probe { field: &field, averages: &kinds }).unwrap();
         let known = |values: &[f64]| [values[0], values[2]];
         assert_eq!(found.iter().map(|values| known(values)).collect::<Vec<_>>(), [[1.0, 3.75], [7.0, 8.0]]);
         assert!(found.iter().all(|values| values[1].is_nan() && values[3].is_nan()), "{found:?}");
         assert_eq!(*field.0.lock().unwrap(), [3, 4]);
         // Several averages may use the expected depth, which is queried once.
-        let kinds = [RayAverage::USpread, RayAverage::AtExpected, RayAverage::USpreadPerRootRay];
+        let kinds = [RayAverage::USpread, RayAverage::USpreadPerRootRay];
         let found = averages(&rays, &Probe { field: &field, averages: &kinds }).unwrap();
         let known: Vec<_> = found.iter().map(|values| known(values)).collect();
-        assert_eq!(known, [[7.0, 8.0]; 3]);
+        assert_eq!(known, [[7.0, 8.0]; 2]);
         assert_eq!(field.0.lock().unwrap()[2..], [4]);
     }
 }

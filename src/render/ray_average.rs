@@ -10,11 +10,8 @@ pub enum RayAverage {
     /// Σ w u / Σ w: the mean over what the ray hits.
     #[default]
     WeightedMean,
-    /// Σ w u − 3 T_end, as in the official code, which counts empty space as certain.
-    Official,
-    /// u at the expected depth Σ w t / Σ w, which may lie between two surfaces.
-    AtExpected,
-    /// log10 (U s): u at the expected depth + log10 s. s is the spread of the ray's weights, s² = Var t + δ²/12.
+    /// log10 (U s): u at the expected depth Σ w t / Σ w + log10 s. s is the spread of the ray's weights, s² = Var t +
+    /// δ²/12.
     ///
     /// The product of the uncertainty there and the spread of matter along the ray; scene units squared. It is meant
     /// for ranking pixels by their depth error.
@@ -38,16 +35,13 @@ pub(super) enum Asked {
 
 impl RayAverage {
     /// All ray averages.
-    pub const ALL: [Self; 5] =
-        [Self::WeightedMean, Self::Official, Self::AtExpected, Self::USpread, Self::USpreadPerRootRay];
+    pub const ALL: [Self; 3] = [Self::WeightedMean, Self::USpread, Self::USpreadPerRootRay];
 
     /// Name on the command line and in reports.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::WeightedMean => "weighted-mean",
-            Self::Official => "official",
-            Self::AtExpected => "at-expected",
             Self::USpread => "u-spread",
             Self::USpreadPerRootRay => "u-spread-per-root-ray",
         }
@@ -56,8 +50,8 @@ impl RayAverage {
     /// The points at which it needs the field.
     pub(super) fn asks(self) -> Asked {
         match self {
-            Self::WeightedMean | Self::Official => Asked::Samples,
-            Self::AtExpected | Self::USpread | Self::USpreadPerRootRay => Asked::Expected,
+            Self::WeightedMean => Asked::Samples,
+            Self::USpread | Self::USpreadPerRootRay => Asked::Expected,
         }
     }
 }

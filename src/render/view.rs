@@ -22,8 +22,7 @@ pub struct RenderedView {
     /// `[height · width]`: s, the spread of the ray's weights, scene units. s² is their variance and, on average, that
     /// of what lies within one sample: δ²/12 for samples δ apart, or a splat's own extent along the ray.
     pub spread: Vec<f64>,
-    /// `[ray averages of all probes in order][height · width]`: ray averages of log10 U. NaN where nothing was hit,
-    /// except for [`Official`](super::RayAverage::Official).
+    /// `[ray averages of all probes in order][height · width]`: ray averages of log10 U. NaN where nothing was hit.
     pub log10_uncertainty: Vec<Vec<f64>>,
     /// `[variances of the depth probe][height · width]`: the variance of the expected depth under a posterior of
     /// displacements, squared scene units; NaN where nothing was hit.
@@ -247,7 +246,6 @@ impl WeightedRays<'_> {
             let ray = WeightedRay {
                 weights: &self.quadrature.weights[samples.clone()],
                 positions: &self.positions[samples.clone()],
-                end_transmittance: self.quadrature.end_transmittance(&samples),
                 at_expected: self.bounds.clamp(ray.at(pixel.expected_depth).as_vec3()),
                 spread: (pixel.depth_variance + self.thickness[r]).sqrt(),
             };

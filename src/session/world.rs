@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use crate::Result;
 use crate::dataset::{Views, frame_beside, frames_of_training};
+use crate::metrics::median;
 
 /// Most points of a COLMAP model, and most splats, that are compared.
 const POINTS: usize = 512;
@@ -28,13 +29,13 @@ pub fn other_frame(centers: &[Vec3], views: &Views) -> Result<Option<String>> {
     let misfit = |frame: &crate::dataset::Similarity| {
         let placed: Vec<DVec3> = every(&points, POINTS).map(|point| frame.point(*point)).collect();
         let middle = placed.iter().sum::<DVec3>() / placed.len() as f64;
-        let spread = median(placed.iter().map(|point| point.distance(middle)).collect());
+        let spread = median(placed.iter().map(|point| point.distance(middle)));
         let some: Vec<Vec3> = every(centers, SPLATS).copied().collect();
         let nearest = |point: &DVec3| {
             let point = point.as_vec3();
             f64::from(some.iter().map(|mean| mean.distance_squared(point)).fold(f32::INFINITY, f32::min).sqrt())
         };
-        median(placed.par_iter().map(nearest).collect()) / spread.max(f64::MIN_POSITIVE)
+        median(placed.par_iter().map(nearest).collect::<Vec<f64>>()) / spread.max(f64::MIN_POSITIVE)
     };
     let misfits: Vec<f64> = frames.iter().map(|(_, frame)| misfit(frame)).collect();
     let best = (1..misfits.len()).min_by(|&a, &b| misfits[a].total_cmp(&misfits[b]));
@@ -63,11 +64,6 @@ pub fn other_frame(centers: &[Vec3], views: &Views) -> Result<Option<String>> {
 /// At most `count` of a list, spread over it.
 fn every<T>(list: &[T], count: usize) -> impl Iterator<Item = &T> {
     list.iter().step_by(list.len().div_ceil(count).max(1))
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { f64::INFINITY } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 #[cfg(test)]

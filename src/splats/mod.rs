@@ -18,13 +18,13 @@ mod write;
 
 use glam::{Quat, Vec3};
 
-#[cfg(feature = "cli")]
-pub(crate) use render::FAINTEST;
 #[cfg(all(test, any(feature = "evaluate", feature = "train")))]
 pub(crate) use render::reference;
-pub use render::{SeenSpace, SplatRenderer, seen_domain, tile_of};
+#[cfg(any(feature = "cli", feature = "train"))]
+pub(crate) use render::{BEYOND, DARK, FAINTEST, MOST_OPAQUE};
 #[cfg(feature = "train")]
-pub(crate) use render::{boxed, middle};
+pub(crate) use render::{Footprint, Projector, Shape, boxed, middle};
+pub use render::{SeenSpace, SplatRenderer, seen_domain, tile_of};
 // What only the program, Python and the experiments name.
 #[doc(hidden)]
 pub use render::{Hit, Hits, NEAR, SplatView, share_too_near};

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::{RenderMode, Splats};
+use crate::metrics::quantile;
 
 /// The quantiles of [`Summary`].
 pub const QUANTILES: [f64; 5] = [0.0, 0.01, 0.5, 0.99, 1.0];
@@ -31,11 +32,10 @@ pub struct Summary {
     pub memory: usize,
 }
 
-/// The values below which these shares of all values lie (of two neighbours, the nearer).
 fn quantiles(values: impl Iterator<Item = f32>) -> [f32; 5] {
-    let mut sorted: Vec<f32> = values.collect();
-    sorted.sort_unstable_by(f32::total_cmp);
-    QUANTILES.map(|share| sorted[(share * (sorted.len() - 1) as f64).round() as usize])
+    let mut sorted: Vec<f64> = values.map(f64::from).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    QUANTILES.map(|share| quantile(&sorted, share) as f32)
 }
 
 impl Splats {

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use super::grid::{CELLS, SAMPLES, SIDE, place};
 use super::march::{Step, Volume};
 use super::seen::SeenRay;
+use crate::metrics::median;
 
 /// Corrections. More of them follow the noise of single rays.
 const CORRECTIONS: usize = 3;
@@ -144,7 +145,7 @@ impl Paths {
 /// is seen.
 pub fn deeper(volume: &Volume, rays: &[SeenRay]) -> f64 {
     let judges: Vec<&SeenRay> = rays.iter().step_by(rays.len().div_ceil(JUDGES).max(1)).collect();
-    let mut off: Vec<f64> = judges
+    let off: Vec<f64> = judges
         .into_par_iter()
         .filter(|ray| ray.opacity > 0.5)
         .filter_map(|ray| {
@@ -152,11 +153,7 @@ pub fn deeper(volume: &Volume, rays: &[SeenRay]) -> f64 {
             (depth > 0.0).then_some((depth - ray.depth) / ray.depth)
         })
         .collect();
-    if off.is_empty() {
-        return 0.0;
-    }
-    let middle = off.len() / 2;
-    *off.select_nth_unstable_by(middle, f64::total_cmp).1
+    if off.is_empty() { 0.0 } else { median(off) }
 }
 
 /// For every sample of an atlas, the first sample at the same place: faces of bricks are repeated.

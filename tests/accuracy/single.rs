@@ -122,11 +122,9 @@ fn a_lattice_of_eight_cells_agrees_with_the_oracle_and_one_of_one_is_refused() {
 
 /// Median of `of` over well-seen vertices: those whose information is above `floor`.
 fn median(run: &Run, floor: f64, of: impl Fn(&VertexSums) -> f64) -> f64 {
-    let mut values: Vec<f64> =
-        run.field.sums().unwrap().iter().filter(|e| trace(&e.information) > floor).map(of).collect();
+    let values: Vec<f64> = run.field.sums().unwrap().iter().filter(|e| trace(&e.information) > floor).map(of).collect();
     assert!(values.len() > 100);
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
+    octobayes::metrics::median(values)
 }
 
 /// One picture, or two from almost the same place, pin what is across the line of sight better than what is along

@@ -31,10 +31,8 @@ use crate::{Error, Result};
 /// common maximum, trapezoid rule. Only the order of pixels counts, so nothing is normalised per image.
 ///
 /// Several fields, covariances and ray averages share the rendering. The table also lists baselines that need no
-/// Hessian: the variance and the entropy of the ray's weights, the weights' spread over the number of training rays,
-/// 1 - opacity, the numbers of rays and of those that reached the place, and chance; and, if the model knows its
-/// training cameras, how many of them see the place, and from how near an angle. With --ensemble they are also
-/// ranked by the disagreement of several models.
+/// Hessian: the variance of the ray's weights, the weights' spread over the number of training rays or its root, and
+/// chance. With --ensemble they are also ranked by the disagreement of several models.
 ///
 /// Depth is compared where the true depth is known and the image is fully opaque (alpha 255; images without alpha
 /// are opaque everywhere).
@@ -84,7 +82,7 @@ pub struct Args {
     ray_average: Vec<RayAverage>,
 
     /// Two or more models trained like MODEL with other seeds; MODEL may be among them. Evaluates the variance of
-    /// their depth, and the density-aware ensemble (Sünderhauf et al. 2023)
+    /// their depth
     #[arg(long, value_name = "MODEL", num_args = 2.., help_heading = heading::STATISTICS)]
     ensemble: Vec<String>,
 

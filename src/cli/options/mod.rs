@@ -43,8 +43,6 @@ impl ValueEnum for RayAverage {
     fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
         let help = match self {
             Self::WeightedMean => "mean of log10 U over what the ray hits",
-            Self::Official => "the official code's: -3 for the part that hits nothing",
-            Self::AtExpected => "log10 U at the expected depth",
             Self::USpread => {
                 "log10 (U s) at the expected depth, where s is the spread of the ray's weights: s^2 is their variance \
                  + delta^2/12 for the length delta of a sample"
@@ -112,7 +110,7 @@ mod tests {
         check::<GradientMethod>(4);
         check::<GridKind>(2);
         check::<Norm>(2);
-        check::<RayAverage>(5);
+        check::<RayAverage>(3);
         check::<Purpose>(4);
         check::<ScaleKind>(2);
     }

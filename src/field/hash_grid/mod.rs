@@ -18,8 +18,12 @@ mod network;
 mod space;
 
 pub use config::{HashGridConfig, N_FEATURES_PER_LEVEL, N_GEOMETRY, N_LEVELS, N_NEURONS};
-pub(crate) use encoding::{Encoding, Entry, WIDTH};
-pub(crate) use network::{Backward, Forward, LAYERS, N_COLOR, N_VIEW, Network, Transposed, density_derivative};
+#[cfg(feature = "experiments")]
+pub(crate) use encoding::Entry;
+pub(crate) use encoding::{Encoding, WIDTH};
+#[cfg(any(test, feature = "experiments"))]
+pub(crate) use network::LAYERS;
+pub(crate) use network::{Backward, Forward, N_COLOR, N_VIEW, Network, Transposed, density_derivative};
 pub(crate) use space::Space;
 
 use glam::Vec3;

@@ -339,18 +339,14 @@ fn is_asked_for_cells(ray: u64) -> bool {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-
-    /// Numbers in [0, 1) that look random.
-    fn chance(state: &mut u64) -> f64 {
-        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (*state >> 11) as f64 / (1_u64 << 53) as f64
-    }
+    use rand::rngs::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng};
 
     /// Catches of 20,000 species whose rates fall off as their number to the power `fall`.
     fn catches(n: usize, fall: f64) -> Vec<u64> {
-        let mut state = 1;
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
         // The inverse of the rates' cumulative distribution.
-        (0..n).map(|_| (20_000.0 * chance(&mut state).powf(1.0 / (1.0 - fall))) as u64).collect()
+        (0..n).map(|_| (20_000.0 * rng.random::<f64>().powf(1.0 / (1.0 - fall))) as u64).collect()
     }
 
     #[test]

@@ -161,29 +161,29 @@ impl PilotCounts {
 
 #[cfg(test)]
 mod tests {
+    use rand::rngs::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng};
+
     use super::*;
 
     /// Counts of `touches` rays that each touch one of `vertices` at random.
     fn counts(touches: u64, vertices: u64) -> Counts {
         let mut rays = vec![0_u32; vertices as usize];
-        let mut state = 1_u64;
-        for _ in 0..touches {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            rays[((state >> 33) % vertices) as usize] += 1;
-        }
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        (0..touches).for_each(|_| rays[rng.random_range(0..vertices as usize)] += 1);
         let number = |n: u32| rays.iter().filter(|&&r| r == n).count() as f64;
         Counts { touches: touches as f64, distinct: vertices as f64 - number(0), once: number(1), twice: number(2) }
     }
 
     #[test]
     fn a_few_rays_predict_how_many_vertices_many_rays_touch() {
-        // A pilot sees a tenth of 10,000 vertices. The standard error of Chao's estimate is about 4 % here.
+        // A pilot sees a tenth of 10,000 vertices, some 45 of them twice: Chao's estimate has a standard error of 14 %.
         let pilot = counts(1000, 10_000);
         assert!(pilot.distinct < 1000.0);
         for scale in [1_u64, 10, 100] {
             let found = pilot.vertices(scale as f64);
             let truth = counts(1000 * scale, 10_000).distinct;
-            assert!((found / truth - 1.0).abs() < 0.15, "scale {scale}: {found} expected, {truth} touched");
+            assert!((found / truth - 1.0).abs() < 0.42, "scale {scale}: {found} expected, {truth} touched");
         }
     }
 
@@ -191,11 +191,8 @@ mod tests {
     /// vertex on leaves of any size.
     fn on_a_surface(finest: u8, rays: u32) -> PilotCounts {
         let side = 1_u32 << DEPTH;
-        let mut state = 1_u64;
-        let mut next = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 33) as u32 % side
-        };
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut next = || rng.random_range(0..side);
         let points: Vec<[u32; 3]> = (0..rays).map(|_| [next() + 1, next() + 1, 5]).collect();
         let touched = (0..SIZES as u32).map(|size| {
             let mut all = FxHashMap::<u64, u32>::default();

@@ -273,6 +273,9 @@ impl<S: Sums> AddAssign<&Self> for SparseSums<S> {
 mod tests {
     use std::collections::BTreeMap;
 
+    use rand::rngs::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng};
+
     use super::*;
     use crate::posterior::{DiagonalSums, VertexSums};
 
@@ -285,13 +288,13 @@ mod tests {
     fn are_those_of_a_map<S: Sums>(square: impl Fn(f64) -> S::Square) {
         // Half a million additions in runs of neighbours, to some 200,000 vertices. Each partition needs many pages.
         let (mut sparse, mut map) = (SparseSums::<S>::new(), BTreeMap::<VertexKey, S>::new());
-        let mut state = 1_u64;
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
         for _ in 0..5 {
             let lists: Vec<Contributions<_>> = (0..4)
                 .map(|_| {
                     let mut list = Contributions::default();
                     for _ in 0..2500 {
-                        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                        let state: u64 = rng.random();
                         for i in 0..10 {
                             let key = VertexKey::from_bits((state >> 40) % (1 << 18) + 3 * i);
                             let value = (state >> 11) as f64 / (1_u64 << 53) as f64 + i as f64;

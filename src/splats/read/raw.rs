@@ -159,6 +159,9 @@ fn unit(q: Vec4) -> Quat {
 
 #[cfg(test)]
 mod tests {
+    use rand::rngs::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng};
+
     use super::*;
 
     fn raw(n: usize) -> Raw {
@@ -237,11 +240,8 @@ mod tests {
 
     #[test]
     fn rotations_are_normalised_once() {
-        let mut state = 1_u32;
-        let mut random = || {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            (state >> 8) as f32 / (1 << 23) as f32 - 1.0
-        };
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut random = || rng.random_range(-1.0..1.0);
         for _ in 0..1000 {
             let q = unit(1e3 * Vec4::new(random(), random(), random(), random()));
             assert!((q.length() - 1.0).abs() < 1e-6);

@@ -6,9 +6,9 @@ use super::SplatView;
 use super::project::FAINTEST;
 
 /// Largest α: light always passes.
-const MOST_OPAQUE: f64 = 0.99;
+pub const MOST_OPAQUE: f64 = 0.99;
 /// No splat is drawn behind which less light would be left.
-const DARK: f64 = 1e-4;
+pub const DARK: f64 = 1e-4;
 
 /// A splat that an image point shows.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -101,7 +101,7 @@ fn some(cameras: &[Camera]) -> impl Iterator<Item = &Camera> {
 /// draws none, though other programs do.
 #[must_use]
 pub fn share_too_near(splats: &Splats, cameras: &[Camera]) -> f64 {
-    let counts = some(cameras).map(|camera| Projector::new(splats, camera).too_near());
+    let counts = some(cameras).map(|camera| Projector::new(camera).too_near(splats));
     let [all, near] = counts.fold([0, 0], |[a, b], [c, d]| [a + c, b + d]);
     near as f64 / all.max(1) as f64
 }

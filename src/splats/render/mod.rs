@@ -8,9 +8,9 @@
 //! q = dᵀ A d and d = m − p; `T` transmittance before it; w = T α; C = Σ w c + T_end · background; `behind`
 //! S = Σ_{j>i} w_j c_j + T_end · background.
 
+mod colors;
 mod composite;
 mod extent;
-mod harmonics;
 mod images;
 mod jacobian;
 mod project;
@@ -20,20 +20,26 @@ pub(crate) mod reference;
 mod tests;
 mod tiles;
 
+pub(super) use colors::color;
 pub use composite::{Hit, Hits};
 pub use extent::{SeenSpace, seen_domain, share_too_near};
 #[cfg(feature = "train")]
 pub use extent::{boxed, middle};
-pub(super) use harmonics::color;
-#[cfg(feature = "cli")]
-pub use project::FAINTEST;
 pub use project::NEAR;
+#[cfg(feature = "train")]
+pub(crate) use project::Shape;
+pub(crate) use project::{Footprint, Projector};
 pub use tiles::tile_of;
+#[cfg(any(feature = "cli", feature = "train"))]
+pub(crate) use {
+    composite::{DARK, MOST_OPAQUE},
+    project::{BEYOND, FAINTEST},
+};
 
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
-use self::project::{Footprint, Projector, Slope};
+use self::project::Slope;
 use self::tiles::{Tiles, front_to_back};
 use super::Splats;
 use crate::geometry::{Aabb, Camera, Distortion};
@@ -107,17 +113,22 @@ impl<'a> SplatRenderer<'a> {
     #[must_use]
     #[doc(hidden)]
     pub fn prepare(&self, camera: &Camera, to: Outputs) -> SplatView<'a> {
-        let projector = Projector::new(self.splats, camera);
-        let footprints: Vec<Footprint> =
-            (0..self.splats.len()).into_par_iter().with_min_len(1024).filter_map(|i| projector.footprint(i)).collect();
+        let projector = Projector::new(camera);
+        let footprints: Vec<Footprint> = (0..self.splats.len())
+            .into_par_iter()
+            .with_min_len(1024)
+            .filter_map(|i| projector.footprint(self.splats, i))
+            .collect();
         // In the order in which they are listed and composited: memory is then read from beginning to end.
         let order = front_to_back(&footprints);
         let footprints: Vec<Footprint> = order.par_iter().map(|&i| footprints[i as usize]).collect();
         let slopes: Vec<Slope> = match to {
             Outputs::Colors => Vec::new(),
-            Outputs::Derivatives => {
-                footprints.par_iter().with_min_len(1024).map(|footprint| projector.slope(footprint)).collect()
-            }
+            Outputs::Derivatives => footprints
+                .par_iter()
+                .with_min_len(1024)
+                .map(|footprint| projector.slope(self.splats, footprint))
+                .collect(),
         };
         let tiles = Tiles::new(&footprints, camera.resolution);
         SplatView { renderer: *self, camera: *camera, rotation: projector.rotation, footprints, slopes, tiles }

@@ -6,17 +6,17 @@
 //! 2001, "EWA Volume Splatting"; Kerbl et al. 2023). Everything is f64: an image of a million splats still takes less
 //! time to project than to composite.
 
-use glam::{DMat3, DQuat, DVec2, DVec3};
+use glam::{DMat3, DVec2, DVec3, Quat, Vec3};
 use rayon::prelude::*;
 
-use super::harmonics;
+use super::colors;
 use crate::geometry::Camera;
-use crate::splats::Splats;
+use crate::splats::{RenderMode, Splats};
 
 /// Splats nearer than this are not drawn, scene units along the view axis: as in the original code.
 pub const NEAR: f64 = 0.2;
 /// Half angles to which the Jacobian's x/z and y/z are limited.
-const BEYOND: f64 = 1.3;
+pub const BEYOND: f64 = 1.3;
 /// Least opacity that is drawn.
 pub const FAINTEST: f64 = 1.0 / 255.0;
 
@@ -57,12 +57,11 @@ pub struct Slope {
 }
 
 /// A camera as splats need it.
-pub struct Projector<'a> {
-    splats: &'a Splats,
+pub struct Projector {
     eye: DVec3,
     /// Scene to camera: rows right, down, forward.
     pub rotation: DMat3,
-    focal: DVec2,
+    pub focal: DVec2,
     center: DVec2,
     /// Least and largest x/z and y/z of the Jacobian.
     limits: [DVec2; 2],
@@ -70,17 +69,40 @@ pub struct Projector<'a> {
 }
 
 /// A splat's covariances in a view.
-struct Shape {
-    t: DVec3,
+pub struct Shape {
+    /// From the eye to the centre, scene axes.
+    pub away: DVec3,
+    pub t: DVec3,
     /// Rows of J.
-    j: [DVec3; 2],
+    pub j: [DVec3; 2],
     is_limited: [bool; 2],
     /// x/z and y/z as limited.
     tangent: DVec2,
-    /// W.
-    w: DMat3,
+    /// Standard deviations along the splat's axes.
+    pub scales: DVec3,
+    /// The splat's axes times these, in camera axes: W = M Mᵀ.
+    pub m: DMat3,
+    pub w: DMat3,
     /// J W Jᵀ: its entries 00, 01, 11.
     raw: [f64; 3],
+}
+
+/// Entries of the derivatives of a row of J by t; the others are 0.
+pub struct Bend {
+    /// By the row's own x or y: the entry z.
+    pub own: f64,
+    /// By z: the row's own entry, and the entry z.
+    pub by_z: [f64; 2],
+}
+
+impl Shape {
+    /// How row `axis` of J changes with t, with the focal length `f` of that axis.
+    pub fn bend(&self, axis: usize, f: f64) -> Bend {
+        let (z, free) = (self.t.z, f64::from(u8::from(!self.is_limited[axis])));
+        // ∂J₀₂/∂z of −f x/z², where x/z is either x over z or a limit.
+        let by_z = [-f / (z * z), (1.0 + free) * f * self.tangent[axis] / (z * z)];
+        Bend { own: -free * f / (z * z), by_z }
+    }
 }
 
 /// Inverse of a symmetric 2×2 matrix, and its determinant.
@@ -93,27 +115,14 @@ fn dilated([a, b, c]: [f64; 3], by: f64) -> [f64; 3] {
     [a + by, b, c + by]
 }
 
-impl<'a> Projector<'a> {
-    /// The number of splats whose centres are on the image, and how many of them are too near to be drawn.
-    pub fn too_near(&self) -> [usize; 2] {
-        let counted = |i: usize| {
-            let t = self.to_camera(i);
-            let at = self.focal * DVec2::new(t.x, t.y) / t.z + self.center;
-            let is_on_image = t.z > 0.0 && at.cmpge(DVec2::ZERO).all() && at.cmplt(self.resolution).all();
-            [is_on_image, is_on_image && t.z <= NEAR].map(usize::from)
-        };
-        let sum = |[a, b]: [usize; 2], [c, d]: [usize; 2]| [a + c, b + d];
-        (0..self.splats.len()).into_par_iter().map(counted).reduce(|| [0, 0], sum)
-    }
-
-    /// The splats in front of a camera without distortion.
-    pub fn new(splats: &'a Splats, camera: &Camera) -> Self {
+impl Projector {
+    /// For a camera without distortion.
+    pub fn new(camera: &Camera) -> Self {
         let [right, up, back] = [camera.axes.x_axis, camera.axes.y_axis, camera.axes.z_axis];
         let [focal, center] = [camera.focal, camera.center].map(DVec2::from);
         let resolution = DVec2::new(f64::from(camera.resolution[0]), f64::from(camera.resolution[1]));
         let margin = (BEYOND - 1.0) * 0.5 * resolution / focal;
         Self {
-            splats,
             eye: camera.position,
             rotation: DMat3::from_cols(right, -up, -back).transpose(),
             focal,
@@ -123,13 +132,22 @@ impl<'a> Projector<'a> {
         }
     }
 
-    /// t of a splat.
-    fn to_camera(&self, i: usize) -> DVec3 {
-        self.rotation * (self.splats.mean(i).as_dvec3() - self.eye)
+    /// The number of splats whose centres are on the image, and how many of them are too near to be drawn.
+    pub fn too_near(&self, splats: &Splats) -> [usize; 2] {
+        let counted = |mean: &Vec3| {
+            let t = self.rotation * (mean.as_dvec3() - self.eye);
+            let at = self.focal * DVec2::new(t.x, t.y) / t.z + self.center;
+            let is_on_image = t.z > 0.0 && at.cmpge(DVec2::ZERO).all() && at.cmplt(self.resolution).all();
+            [is_on_image, is_on_image && t.z <= NEAR].map(usize::from)
+        };
+        let sum = |[a, b]: [usize; 2], [c, d]: [usize; 2]| [a + c, b + d];
+        splats.means().par_iter().map(counted).reduce(|| [0, 0], sum)
     }
 
-    fn shape(&self, i: usize) -> Option<Shape> {
-        let t = self.to_camera(i);
+    /// A splat in this view; `None` if it is too near.
+    pub fn shape(&self, mean: Vec3, log_scales: Vec3, rotation: Quat) -> Option<Shape> {
+        let away = mean.as_dvec3() - self.eye;
+        let t = self.rotation * away;
         if t.z <= NEAR {
             return None;
         }
@@ -137,27 +155,40 @@ impl<'a> Projector<'a> {
         let tangent = ratio.clamp(self.limits[0], self.limits[1]);
         let slope = self.focal / t.z;
         let j = [DVec3::new(slope.x, 0.0, -slope.x * tangent.x), DVec3::new(0.0, slope.y, -slope.y * tangent.y)];
-        let q = self.splats.rotation(i);
-        let axes = DMat3::from_quat(
-            DQuat::from_xyzw(f64::from(q.x), f64::from(q.y), f64::from(q.z), f64::from(q.w)).normalize(),
-        );
-        let scales = self.splats.log_scales()[i].as_dvec3().exp();
+        let scales = log_scales.as_dvec3().exp();
+        let axes = DMat3::from_quat(rotation.as_dquat().normalize());
         let m = self.rotation * axes * DMat3::from_diagonal(scales);
         let w = m * m.transpose();
         let raw = [j[0].dot(w * j[0]), j[0].dot(w * j[1]), j[1].dot(w * j[1])];
         let is_limited = [tangent.x != ratio.x, tangent.y != ratio.y];
-        Some(Shape { t, j, is_limited, tangent, w, raw })
+        Some(Shape { away, t, j, is_limited, tangent, scales, m, w, raw })
+    }
+
+    fn shape_of(&self, splats: &Splats, i: usize) -> Option<Shape> {
+        self.shape(splats.mean(i), splats.log_scales()[i], splats.rotation(i))
     }
 
     /// Splat `i` on the image; `None` if no pixel shows it.
-    pub fn footprint(&self, i: usize) -> Option<Footprint> {
-        let shape = self.shape(i)?;
+    pub fn footprint(&self, splats: &Splats, i: usize) -> Option<Footprint> {
+        let shape = self.shape_of(splats, i)?;
+        let opacity = 1.0 / (1.0 + (-f64::from(splats.opacity_logits()[i])).exp());
+        let color = || colors::color(splats.sh(i), shape.away.normalize());
+        self.drawn(&shape, i as u32, opacity, splats.mode(), color)
+    }
+
+    /// A shape on the image, with its opacity before the mode's compensation; `None` if no pixel shows it.
+    pub fn drawn(
+        &self,
+        shape: &Shape,
+        splat: u32,
+        mut opacity: f64,
+        mode: RenderMode,
+        color: impl FnOnce() -> DVec3,
+    ) -> Option<Footprint> {
         let mean = self.focal * DVec2::new(shape.t.x, shape.t.y) / shape.t.z + self.center;
-        let covariance = dilated(shape.raw, self.splats.mode().dilation());
+        let covariance = dilated(shape.raw, mode.dilation());
         let (conic, determinant) = inverse(covariance);
-        let logit = f64::from(self.splats.opacity_logits()[i]);
-        let mut opacity = 1.0 / (1.0 + (-logit).exp());
-        if self.splats.mode().is_compensated() {
+        if mode.is_compensated() {
             opacity *= (inverse(shape.raw).1.max(0.0) / determinant).sqrt();
         }
         // exp(−q/2) o ≥ 1/255 is an ellipse in q.
@@ -167,47 +198,33 @@ impl<'a> Projector<'a> {
         }
         let extent = DVec2::new((reach * covariance[0]).sqrt(), (reach * covariance[2]).sqrt());
         let is_inside = (mean + extent).cmpge(DVec2::ZERO).all() && (mean - extent).cmple(self.resolution).all();
-        is_inside.then(|| {
-            let away = self.splats.mean(i).as_dvec3() - self.eye;
-            Footprint {
-                splat: i as u32,
-                mean,
-                conic,
-                extent,
-                reach,
-                opacity,
-                depth: shape.t.z,
-                thickness: shape.w.z_axis.z,
-                color: harmonics::color(self.splats.sh(i), away.normalize()),
-            }
-        })
+        let (depth, thickness) = (shape.t.z, shape.w.z_axis.z);
+        is_inside.then(|| Footprint { splat, mean, conic, extent, reach, opacity, depth, thickness, color: color() })
     }
 
     /// How a splat that is on the image changes it by moving.
     ///
     /// With v = A (m − p): ∂α/∂t = α (−J₀ᵀ v + Q(v)), Q_k(v) = vᵀ (∂J/∂t_k) W Jᵀ v, where J₀ is J without limits. In
     /// mip mode the compensation adds ½ ∂ ln(det Σ₂raw / det Σ₂): vvᵀ becomes vvᵀ + Σ₂raw⁻¹ − Σ₂⁻¹.
-    pub fn slope(&self, footprint: &Footprint) -> Slope {
+    pub fn slope(&self, splats: &Splats, footprint: &Footprint) -> Slope {
         let i = footprint.splat as usize;
-        let Shape { t, j, is_limited, tangent, w, raw } =
-            self.shape(i).expect("a splat with a footprint is in front of the camera");
+        let shape = self.shape_of(splats, i).expect("a splat with a footprint is in front of the camera");
+        let Shape { away, t, j, w, raw, .. } = shape;
         let z = t.z;
         let [fx, fy] = self.focal.to_array();
         // Columns of W Jᵀ.
         let p = [w * j[0], w * j[1]];
         // Rows of (∂J/∂t_k) W Jᵀ for k = x, y, z.
         let row = |of: &dyn Fn(DVec3) -> f64| [of(p[0]), of(p[1])];
-        let free = |axis: usize| f64::from(u8::from(!is_limited[axis]));
         let zero = [0.0; 2];
-        // ∂J₀₂/∂z of −f x/z², where x/z is either x over z or a limit.
-        let bend = |axis: usize, f: f64| (1.0 + free(axis)) * f * tangent[axis] / (z * z);
+        let [x, y] = [shape.bend(0, fx), shape.bend(1, fy)];
         let by_axis = [
-            [row(&|p| -free(0) * fx / (z * z) * p.z), zero],
-            [zero, row(&|p| -free(1) * fy / (z * z) * p.z)],
-            [row(&|p| -fx / (z * z) * p.x + bend(0, fx) * p.z), row(&|p| -fy / (z * z) * p.y + bend(1, fy) * p.z)],
+            [row(&|p| x.own * p.z), zero],
+            [zero, row(&|p| y.own * p.z)],
+            [row(&|p| x.by_z[0] * p.x + x.by_z[1] * p.z), row(&|p| y.by_z[0] * p.y + y.by_z[1] * p.z)],
         ];
         let entry = |of: &dyn Fn(&[[f64; 2]; 2]) -> f64| DVec3::from(std::array::from_fn(|k| of(&by_axis[k])));
-        let constant = if self.splats.mode().is_compensated() {
+        let constant = if splats.mode().is_compensated() {
             let (inner, outer) = (inverse(raw).0, footprint.conic);
             let m: [f64; 3] = std::array::from_fn(|k| inner[k] - outer[k]);
             entry(&|b| m[0] * b[0][0] + m[1] * (b[0][1] + b[1][0]) + m[2] * b[1][1])
@@ -223,8 +240,7 @@ impl<'a> Projector<'a> {
             constant,
         ];
         let to_scene = self.rotation.transpose();
-        let away = self.splats.mean(i).as_dvec3() - self.eye;
-        let rows = harmonics::color_jacobian(self.splats.sh(i), footprint.color, away.normalize(), away.length());
+        let rows = colors::color_jacobian(splats.sh(i), footprint.color, away.normalize(), away.length());
         let wide = |v: DVec3| v.as_vec3().extend(0.0).to_array();
         Slope { of_alpha: of_alpha.map(|column| wide(to_scene * column)), of_color: rows.map(wide) }
     }

@@ -3,6 +3,7 @@
 use glam::{Quat, Vec3};
 
 use crate::Result;
+use crate::field::harmonics::C0;
 use crate::splats::{MAX_DEGREE, RenderMode, Splats};
 
 /// Where a row has its parts: centre, logarithms of the standard deviations, rotation (x, y, z, w), logit of the
@@ -31,6 +32,11 @@ pub fn rotation(row: &Row) -> Quat {
 /// Opacity at the centre.
 pub fn opacity(row: &Row) -> f32 {
     1.0 / (1.0 + (-row[LOGIT]).exp())
+}
+
+/// Coefficients of the constant function that show a colour.
+pub fn constant_of(color: Vec3) -> Vec3 {
+    (color - 0.5) / C0 as f32
 }
 
 /// The splats of these rows.

@@ -8,14 +8,15 @@ use glam::Vec3;
 use multiversion::multiversion;
 use rayon::prelude::*;
 
-use super::project::{Ellipse, FAINTEST, Moments};
+use super::project::{Ellipse, Moments};
+use crate::field::elementary::exp;
+use crate::splats;
 
 /// Side of a tile, pixels.
 const SIDE: usize = 8;
-/// Largest α: light always passes.
-const MAX_ALPHA: f32 = 0.99;
-/// No splat is drawn behind which less light would be left.
-const DARK: f32 = 1e-4;
+const FAINTEST: f32 = splats::FAINTEST as f32;
+const MOST_OPAQUE: f32 = splats::MOST_OPAQUE as f32;
+const DARK: f32 = splats::DARK as f32;
 
 /// Eight pixels of a row.
 type Lanes = [f32; SIDE];
@@ -136,25 +137,6 @@ impl Tiles {
     }
 }
 
-/// exp(x) for x from -80 to 0, to 3e-7 of it.
-#[inline(always)]
-fn exp(x: f32) -> f32 {
-    // Adding it leaves a whole number in the lowest bits.
-    const ROUND: f32 = 12_582_912.0;
-    let y = x * std::f32::consts::LOG2_E;
-    let shifted = y + ROUND;
-    let f = y - (shifted - ROUND);
-    let p = 1.540_353e-4_f32;
-    let p = p * f + 1.333_356e-3;
-    let p = p * f + 9.618_13e-3;
-    let p = p * f + 5.550_411e-2;
-    let p = p * f + 2.402_265e-1;
-    let p = p * f + std::f32::consts::LN_2;
-    let p = p * f + 1.0;
-    let power = (shifted.to_bits() as i32).wrapping_sub(ROUND.to_bits() as i32).wrapping_add(127);
-    p * f32::from_bits((power << 23) as u32)
-}
-
 /// An ellipse as a row of a tile needs it: d₀ of its first pixel, d₁, and the ellipse.
 struct Across<'a> {
     ellipse: &'a Ellipse,
@@ -170,7 +152,7 @@ fn free(across: &Across) -> Lanes {
     for (l, out) in out.iter_mut().enumerate() {
         let dx = across.dx - l as f32;
         let q = (a * dx + 2.0 * b * across.dy) * dx + c * across.dy * across.dy;
-        *out = across.ellipse.opacity * exp((-0.5 * q).max(-80.0));
+        *out = across.ellipse.opacity * exp(-0.5 * q);
     }
     out
 }
@@ -188,7 +170,7 @@ fn rows(ellipse: &Ellipse, top: usize) -> std::ops::Range<usize> {
 fn drawn(free: &Lanes, left: &Lanes, live: &mut Lanes) -> Lanes {
     let mut out = [0.0; SIDE];
     for l in 0..SIDE {
-        let alpha = free[l].min(MAX_ALPHA);
+        let alpha = free[l].min(MOST_OPAQUE);
         let is_drawn = if alpha >= FAINTEST { live[l] } else { 0.0 };
         let ends = if left[l] * (1.0 - alpha) < DARK { is_drawn } else { 0.0 };
         live[l] -= ends;
@@ -263,7 +245,7 @@ fn sum(
                 let own = red * by_red[l] + green * by_green[l] + blue * by_blue[l];
                 behind[l] -= weight * own;
                 let by_alpha = before * own - behind[l] / (1.0 - alpha[l]);
-                let s = if free[l] < MAX_ALPHA { by_alpha * alpha[l] } else { 0.0 };
+                let s = if free[l] < MOST_OPAQUE { by_alpha * alpha[l] } else { 0.0 };
                 let dx = dx - l as f32;
                 let (sx, sy) = (s * dx, s * dy);
                 sums[0][l] += s;

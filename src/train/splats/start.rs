@@ -14,10 +14,10 @@ use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
 use rstar::RTree;
 
-use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH};
-use super::harmonics;
+use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH, constant_of};
 use crate::dataset::ScenePoint;
 use crate::geometry::Aabb;
+use crate::metrics::median;
 use crate::splats::{boxed, middle};
 use crate::train::Shot;
 
@@ -256,9 +256,8 @@ fn spacing(points: &[DVec3]) -> f64 {
         let others = points.iter().map(|y| x.distance_squared(*y)).filter(|d| *d > 0.0);
         others.fold(f64::INFINITY, f64::min).sqrt()
     };
-    let mut distances: Vec<f64> = some.map(nearest).filter(|d| d.is_finite()).collect();
-    distances.sort_by(f64::total_cmp);
-    distances.get(distances.len() / 2).copied().unwrap_or(1.0)
+    let found = median(some.map(nearest).filter(|d| d.is_finite()));
+    if found.is_nan() { 1.0 } else { found }
 }
 
 /// The mean colour of the pixels that show `x`.
@@ -281,6 +280,6 @@ fn row(x: DVec3, color: Vec3, size: f64) -> Row {
     row[SCALE..SCALE + 3].fill((size as f32).ln());
     row[ROTATION + 3] = 1.0;
     row[LOGIT] = (OPACITY / (1.0 - OPACITY)).ln();
-    row[SH..SH + 3].copy_from_slice(&Vec3::map(color, harmonics::constant_of).to_array());
+    row[SH..SH + 3].copy_from_slice(&constant_of(color).to_array());
     row
 }

@@ -2,7 +2,7 @@ use glam::{DVec3, Quat, Vec3};
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 
-use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH, splats};
+use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH, constant_of, splats};
 use super::picture::Picture;
 use super::*;
 use crate::dataset::{PosedImage, ScenePoint};
@@ -38,7 +38,7 @@ fn near() -> Camera {
     Camera::look_at(DVec3::new(1.6, -1.1, 0.7), DVec3::new(0.1, 0.0, 0.2), DVec3::Z, 1.2, [60, 44])
 }
 
-/// Two programs that share no code: one in f32, one that composites in f64.
+/// Two compositors that share no code, one in f32 and one in f64.
 #[test]
 fn images_are_those_of_the_renderer() {
     let rows = cloud(600);
@@ -249,7 +249,7 @@ fn opaque_images_begin_at_the_points_of_a_reconstruction() {
         squares.sort_by(f64::total_cmp);
         let size = (squares[1..4].iter().sum::<f64>() / 3.0).sqrt();
         assert!((f64::from(row[SCALE].exp()) / size - 1.0).abs() < 1e-5, "{i}");
-        let color = point.color.map(|v| harmonics::constant_of(f32::from(v) / 255.0));
+        let color = constant_of(Vec3::from(point.color.map(f32::from)) / 255.0).to_array();
         assert!(row[SH..SH + 3].iter().zip(color).all(|(found, v)| (found - v).abs() < 1e-5), "{i}");
     }
     // Some of many points, the same for any order of threads; and no start at points that say too little.

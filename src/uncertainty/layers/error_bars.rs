@@ -35,6 +35,7 @@ use serde_json::Value;
 use super::super::file::Source;
 use super::{Change, Layer, Sections};
 use crate::Result;
+use crate::metrics::median;
 use crate::posterior::{Reading, Sums, VertexSums};
 use crate::uncertainty::{MOVED, StandardDeviations, UncertaintyField};
 
@@ -269,10 +270,10 @@ impl UncertaintyField {
     pub fn error_summary(&self) -> Option<ErrorSummary> {
         let groups = self.error_bars()?.groups;
         let moved = self.errors_of_moved();
-        let mut errors: Vec<f64> = moved.iter().copied().flatten().collect();
+        let errors: Vec<f64> = moved.iter().copied().flatten().collect();
         let known = errors.len();
         let mean_square = errors.iter().map(|e| e * e).sum::<f64>() / known.max(1) as f64;
-        let median = if known > 0 { *errors.select_nth_unstable_by(known / 2, f64::total_cmp).1 } else { 0.0 };
+        let median = if known > 0 { median(errors) } else { 0.0 };
         Some(ErrorSummary { groups, moved: moved.len(), known, root_mean_square: mean_square.sqrt(), median })
     }
 

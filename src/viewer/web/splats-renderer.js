@@ -67,7 +67,8 @@ class SplatsRenderer extends Renderer {
     const [x, y, z] = this.placing(camera, width, height);
     const tangents = [[0, 0], [width, height]].map(([u, v]) =>
       [(u - x) / z, (v - y) / z].map((at, k) => (at - center[k]) / focal[k]));
-    const margin = [0, 1].map((k) => 0.5 * (BEYOND - 1) * (tangents[1][k] - tangents[0][k]));
+    const { beyond } = this.model.about.drawn;
+    const margin = [0, 1].map((k) => 0.5 * (beyond - 1) * (tangents[1][k] - tangents[0][k]));
     const [right, up, back] = [0, 1, 2].map((k) => column(camera.axes, k));
     return {
       focal, center, eye: this.model.local(camera.position), rows: [right, scale(up, -1), scale(back, -1)],
@@ -111,6 +112,8 @@ class SplatsRenderer extends Renderer {
     gl.uniform2f(place('canvas'), width, height);
     gl.uniform1i(place('isMip'), model.about.isMip ? 1 : 0);
     gl.uniform1f(place('dilation'), model.about.dilation);
+    gl.uniform1f(place('faintest'), model.about.drawn.faintest);
+    gl.uniform1f(place('mostOpaque'), model.about.drawn.mostOpaque);
     gl.uniform1f(place('unit'), model.unit);
     gl.uniform1i(place('splats'), SPLATS);
     gl.uniform1i(place('order'), ORDER);

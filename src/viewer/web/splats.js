@@ -1,14 +1,5 @@
 // Splats on the CPU: their parameters, their order, and what a pixel shows of them.
 
-/** Splats nearer than this are not drawn, scene units along the view axis. */
-const NEAR_PLANE = 0.2;
-/** Half angles of the picture to which x/z and y/z of a splat's shape are limited. */
-const BEYOND = 1.3;
-/** Least and largest opacity that is drawn; light of which less is left shows nothing more. */
-const FAINTEST = 1 / 255;
-const MOST_OPAQUE = 0.99;
-const DARK = 1e-4;
-
 class Splats {
   constructor(about, planes) {
     Object.assign(this, { about, ...unpacked(about, planes) }, lengths(about));
@@ -50,7 +41,7 @@ class Splats {
       depths[i] = x * a + y * b + z * c - eye;
       const isInside =
         a >= low[0] && b >= low[1] && c >= low[2] && a <= high[0] && b <= high[1] && c <= high[2];
-      if (isInside && depths[i] > NEAR_PLANE && this.stays(i, shown)) left[count++] = i;
+      if (isInside && depths[i] > this.about.drawn.near && this.stays(i, shown)) left[count++] = i;
     }
     this.order = { key, list: farthestFirst(left.subarray(0, count), depths) };
     return this.order.list;
@@ -86,12 +77,12 @@ class Splats {
     const raw00 = u0 * cu0 + u1 * cu1 + u2 * cu2;
     const raw01 = v0 * cu0 + v1 * cu1 + v2 * cu2;
     const raw11 = v0 * cv0 + v1 * cv1 + v2 * cv2;
-    const { isMip, dilation } = this.about;
+    const { isMip, dilation, drawn } = this.about;
     const [a, d] = [raw00 + dilation, raw11 + dilation];
     const determinant = a * d - raw01 * raw01;
     const inner = Math.max(raw00 * raw11 - raw01 * raw01, 0);
     const opacity = this.opacities[i] * (isMip ? Math.sqrt(inner / determinant) : 1);
-    const reach = 2 * Math.log(opacity / FAINTEST);
+    const reach = 2 * Math.log(opacity / drawn.faintest);
     if (!(reach >= 0 && determinant > 0)) return false;
     [out.opacity, out.depth] = [opacity, z];
     [out.x, out.y] = [(focal[0] * x) / z + center[0], (focal[1] * y) / z + center[1]];
@@ -103,6 +94,7 @@ class Splats {
   /** Calls `visit(pixel, alpha, splat, i)` for what the pixels of a target may show of splats, from the nearest. */
   forEachPixel(camera, shown, lens, width, height, [left, top, zoom], visit) {
     const list = this.listed(camera, shown);
+    const { faintest, mostOpaque } = this.about.drawn;
     const splat = {};
     for (let k = list.length - 1; k >= 0; k--) {
       if (!this.project(list[k], lens, splat)) continue;
@@ -116,8 +108,8 @@ class Splats {
         for (let at = first; at <= last; at++) {
           const dx = x - (at + 0.5 - left) / zoom;
           const q = xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy;
-          const alpha = Math.min(opacity * Math.exp(-0.5 * q), MOST_OPAQUE);
-          if (alpha >= FAINTEST) visit(row * width + at, alpha, splat, list[k]);
+          const alpha = Math.min(opacity * Math.exp(-0.5 * q), mostOpaque);
+          if (alpha >= faintest) visit(row * width + at, alpha, splat, list[k]);
         }
       }
     }
@@ -133,7 +125,7 @@ class Splats {
       const pixel = all[at];
       const after = pixel.passed * (1 - alpha);
       // Nothing is drawn behind the end of a ray.
-      pixel.isFull ||= after < DARK;
+      pixel.isFull ||= after < this.about.drawn.dark;
       if (pixel.isFull) return;
       pixel.hits.push({ i, depth, weight: pixel.passed * alpha });
       pixel.passed = after;

@@ -16,14 +16,13 @@ uniform vec4 limits;          // least and largest x/z and y/z of a splat's shap
 uniform vec2 canvas;          // pixels
 uniform bool isMip;
 uniform float dilation;       // variance by which every splat grows, square pixels of the camera's image
+uniform float faintest;       // least opacity that is drawn
 uniform float unit;           // of depth, scene units
 
 flat out vec2 center;         // pixels of the camera's image
 flat out vec3 conic;
 flat out vec4 light;          // colour and opacity
 flat out vec3 known;          // log10 U in parts of its range, depth along the view axis, never seen
-
-const float FAINTEST = 1.0 / 255.0;
 
 void main() {
     int rank = gl_VertexID >> 2;
@@ -45,7 +44,7 @@ void main() {
     float determinant = grown.x * grown.z - grown.y * grown.y;
     float opacity = place.w;
     if (isMip) opacity *= sqrt(max(raw.x * raw.z - raw.y * raw.y, 0.0) / determinant);
-    float reach = 2.0 * log(opacity / FAINTEST);
+    float reach = 2.0 * log(opacity / faintest);
     if (!(reach >= 0.0 && determinant > 0.0)) {
         gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
         return;
