@@ -1,8 +1,8 @@
 //! `accumulate`: samples from elsewhere against NumPy, and our own samples, dumped and read back.
 
 use std::path::Path;
-use std::process::Command;
 
+use crate::program::Desk;
 use octobayes::estimate::{FieldBuilder, FieldSource, GridKind, GridSettings};
 use octobayes::geometry::{Aabb, Domain};
 use octobayes::monitor::Silent;
@@ -11,38 +11,19 @@ use octobayes::rays::{RunProgress, SamplesReader};
 use octobayes::render::RaySamples;
 use octobayes::uncertainty::{Support, UncertaintyField};
 
-fn octobayes(args: &[&str]) {
-    let output = Command::new(env!("CARGO_BIN_EXE_octobayes")).args(args).output().unwrap();
-    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
-}
-
 /// `tests/numpy/write_samples.py` wrote the samples, `brute_force.py` the expected sums.
 #[test]
 fn samples_written_by_numpy_give_numpys_sums() {
     let numpy = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/numpy");
     let expected = npyz::NpyFile::new(std::fs::File::open(numpy.join("expected.npy")).unwrap()).unwrap();
     let expected: Vec<f64> = expected.into_vec().unwrap();
-    let folder = tempfile::tempdir().unwrap();
+    let desk = Desk::empty();
+    std::fs::copy(numpy.join("samples.npz"), desk.join("samples.npz")).unwrap();
     for (grid, kind) in [("dense", GridKind::Dense), ("octree", GridKind::Octree)] {
-        let out = folder.path().join(format!("{grid}.oct"));
-        let samples = numpy.join("samples.npz");
-        let [samples, out] = [&samples, &out].map(|p| p.to_str().unwrap());
-        octobayes(&[
-            "uncertainty",
-            samples,
-            "--box=-1,-1,-1,1,1,1",
-            "--level",
-            "3",
-            "--grid",
-            grid,
-            "--tolerance",
-            "0",
-            "--keep-sums",
-            "-o",
-            out,
-        ]);
-        let read = UncertaintyField::read(Path::new(out)).unwrap();
-        let reader = SamplesReader::open(Path::new(samples)).unwrap();
+        let options = "--box=-1,-1,-1,1,1,1 --level 3 --tolerance 0 --keep-sums";
+        desk.good(&format!("uncertainty samples.npz {options} --grid {grid} -o out.oct"));
+        let read = desk.field("out.oct");
+        let reader = SamplesReader::open(&desk.join("samples.npz")).unwrap();
         let settings = GridSettings::default().grid(kind).level(3).tolerance(0.0);
         let mut builder = FieldBuilder::new(settings, Domain::Box(Aabb::centered_cube(1.0))).unwrap();
         let add = |batches: &[RaySamples]| {
@@ -85,49 +66,13 @@ fn compare_with_numpy(field: &UncertaintyField, expected: &[f64], precision: f64
 
 #[test]
 fn dumped_samples_give_the_same_field_bit_for_bit() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
-    let (cameras, samples) = (path("transforms.json"), path("samples.npz"));
-    let named: Vec<_> = octobayes::field::ClosedForm::half_circle(6, [40, 40])
-        .into_iter()
-        .enumerate()
-        .map(|(i, camera)| (format!("r_{i}"), camera))
-        .collect();
-    octobayes::dataset::write_transforms(Path::new(&cameras), &named).unwrap();
+    let desk = Desk::new(6, 40);
     for grid in ["octree", "dense"] {
-        let (first, second) = (path(&format!("{grid}_1.oct")), path(&format!("{grid}_2.oct")));
-        octobayes(&[
-            "uncertainty",
-            "scene:courtyard",
-            "--cameras",
-            &cameras,
-            "--level",
-            "6",
-            "--rays",
-            "20000",
-            "--grid",
-            grid,
-            "--occupancy",
-            "48",
-            "--dump-samples",
-            &samples,
-            "-o",
-            &first,
-        ]);
-        octobayes(&[
-            "uncertainty",
-            &samples,
-            "--box=-1,-1,-1,1,1,1",
-            "--level",
-            "6",
-            "--grid",
-            grid,
-            "--threads",
-            "1",
-            "-o",
-            &second,
-        ]);
-        let [a, b] = [first, second].map(|p| UncertaintyField::read(Path::new(&p)).unwrap());
+        let run = "uncertainty scene:courtyard --cameras cameras.json --level 6 --rays 20000 --occupancy 48";
+        desk.good(&format!("{run} --grid {grid} --dump-samples samples.npz -o first.oct"));
+        let sum = "uncertainty samples.npz --box=-1,-1,-1,1,1,1 --level 6 --threads 1";
+        desk.good(&format!("{sum} --grid {grid} -o second.oct"));
+        let [a, b] = ["first.oct", "second.oct"].map(|name| desk.field(name));
         assert_eq!(a.support(), b.support());
         // A field can hold neither NaN nor -0, so equal values have equal bits.
         assert_eq!((a.deviations(), a.sums()), (b.deviations(), b.sums()));

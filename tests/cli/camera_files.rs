@@ -1,12 +1,9 @@
 //! What camera files say of frames and pixels decides what counts as seen.
 
-use std::path::{Path, PathBuf};
-
 use crate::npz::NpzWriter;
-use crate::program::outcome;
+use crate::program::Desk;
 use glam::{DVec3, Vec3};
 use octobayes::geometry::Camera;
-use octobayes::uncertainty::UncertaintyField;
 use serde_json::{Value, json};
 
 /// Centres of four balls, each seen by one camera alone.
@@ -14,35 +11,37 @@ const BALLS: [[f64; 2]; 4] = [[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]
 const SIDE: u32 = 24;
 const RUN: &str = "uncertainty model.npz --level 5 --rays 4000 --occupancy 32 -o f.oct --cameras";
 
-struct Desk(tempfile::TempDir);
+struct Scene(Desk);
 
-impl Desk {
+impl std::ops::Deref for Scene {
+    type Target = Desk;
+
+    fn deref(&self) -> &Desk {
+        &self.0
+    }
+}
+
+impl Scene {
     fn new() -> Self {
-        let desk = Self(tempfile::tempdir().unwrap());
+        let desk = Self(Desk::empty());
         const N: u64 = 40;
         let at = |i: u64| -1.0 + 2.0 * i as f32 / (N - 1) as f32;
         let place = |i: u64| Vec3::new(at(i / (N * N)), at(i / N % N), at(i % N));
         let ball = |x: Vec3| BALLS.iter().any(|c| (x - Vec3::new(c[0] as f32, c[1] as f32, 0.0)).length() < 0.2);
-        let mut npz = NpzWriter::create(&desk.path("model.npz"));
+        let mut npz = NpzWriter::create(&desk.join("model.npz"));
         npz.array("box", &[2, 3], [-1.0_f32, -1.0, -1.0, 1.0, 1.0, 1.0]);
         npz.array("density", &[N, N, N], (0..N * N * N).map(|i| if ball(place(i)) { 60.0_f32 } else { 0.0 }));
         let stripes = |i: u64| place(i).to_array().map(|x| 0.5 + 0.4 * (9.0 * x).sin());
         npz.array("color", &[N, N, N, 3], (0..N * N * N).flat_map(stripes));
         npz.finish();
-        std::fs::create_dir(desk.path("images")).unwrap();
-        for i in 0..4 {
-            desk.picture(&format!("images/{i}.png"), 128);
-        }
+        std::fs::create_dir(desk.join("images")).unwrap();
+        (0..4).for_each(|i| desk.picture(&format!("images/{i}.png"), 128));
         desk
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
     }
 
     /// A picture of one shade of grey.
     fn picture(&self, name: &str, shade: u8) {
-        image::GrayImage::from_pixel(SIDE, SIDE, image::Luma([shade])).save(self.path(name)).unwrap();
+        image::GrayImage::from_pixel(SIDE, SIDE, image::Luma([shade])).save(self.join(name)).unwrap();
     }
 
     /// Writes a camera file of the four cameras, after `change`.
@@ -57,64 +56,47 @@ impl Desk {
         let frames: Vec<Value> = frames.collect();
         let mut file = json!({"camera_angle_x": 0.25, "w": SIDE, "h": SIDE, "frames": frames});
         change(&mut file);
-        std::fs::write(self.path("t.json"), file.to_string()).unwrap();
-    }
-
-    fn run(&self, args: &str) -> (Option<i32>, String) {
-        let (code, _, said) = outcome(self.0.path(), args);
-        (code, said)
-    }
-
-    fn refused(&self, args: &str) -> String {
-        let (code, said) = self.run(args);
-        assert_eq!(code, Some(2), "{args}: {said}");
-        said
+        self.write("t.json", file.to_string());
     }
 
     /// Which balls the cameras in use have seen, as `#` and `.`, and what was said.
     fn seen(&self, args: &str) -> (String, String) {
-        let (code, said) = self.run(&format!("{RUN} t.json {args}"));
-        assert_eq!(code, Some(0), "{args}: {said}");
-        (seen(&self.path("f.oct")), said)
+        let said = self.said(&format!("{RUN} t.json {args}"));
+        let field = self.field("f.oct");
+        let is_seen = |[x, y]: &[f64; 2]| {
+            let front = Vec3::new(*x as f32, *y as f32, 0.19);
+            // The prior is 4.6; what a ray saw is two decades below it.
+            let below = field.prior().log10() - field.query(front).uncertainty.log10();
+            assert!(!(0.2..1.5).contains(&below), "{below} decades below the prior at {front}");
+            if below > 1.0 { '#' } else { '.' }
+        };
+        (BALLS.iter().map(is_seen).collect(), said)
     }
-}
-
-fn seen(path: &Path) -> String {
-    let field = UncertaintyField::read(path).unwrap();
-    let is_seen = |[x, y]: &[f64; 2]| {
-        let front = Vec3::new(*x as f32, *y as f32, 0.19);
-        // The prior is 4.6; what a ray saw is two decades below it.
-        let below = field.prior().log10() - field.query(front).uncertainty.log10();
-        assert!(!(0.2..1.5).contains(&below), "{below} decades below the prior at {front}");
-        if below > 1.0 { '#' } else { '.' }
-    };
-    BALLS.iter().map(is_seen).collect()
 }
 
 #[test]
 fn frames_have_the_numbers_of_their_file() {
-    let desk = Desk::new();
+    let desk = Scene::new();
     desk.cameras(|_| {});
     // Of fewer than ten pictures none is held out.
     assert_eq!(desk.seen("").0, "####");
     let (balls, said) = desk.seen("--views 3,");
     assert_eq!(balls, "...#");
     assert!(said.contains("used are frame 3"), "{said}");
-    std::fs::remove_file(desk.path("images/1.png")).unwrap();
+    std::fs::remove_file(desk.join("images/1.png")).unwrap();
     let (balls, said) = desk.seen("--views 0,2");
     assert_eq!(balls, "#.#.");
     assert!(said.contains("used are frames 0, 2"), "{said}");
-    assert!(desk.refused(&format!("{RUN} t.json --views 1,")).contains("frame 1 (no images/1.png)"));
-    assert!(desk.refused(&format!("{RUN} t.json --views 4,")).contains("numbers of frames from 0 to 3, found 4"));
+    desk.refused(&format!("{RUN} t.json --views 1,"), &["frame 1 (no images/1.png)"]);
+    desk.refused(&format!("{RUN} t.json --views 4,"), &["numbers of frames from 0 to 3, found 4"]);
     // `render` counts alike.
     desk.seen("--views all");
-    let (code, said) = desk.run("render model.npz f.oct --cameras t.json --frame 3 -o 3.png");
-    assert_eq!(code, Some(0), "{said}");
+    desk.good("render model.npz f.oct --cameras t.json --frame 3 -o 3.png");
 }
 
 #[test]
 fn lists_of_training_frames_are_honoured() {
-    let desk = Desk::new();
+    let desk = Scene::new();
     desk.cameras(|file| file["train_filenames"] = json!(["images/3.png", "./images/1.png"]));
     let (balls, said) = desk.seen("");
     assert_eq!(balls, ".#.#");
@@ -133,12 +115,12 @@ fn lists_of_training_frames_are_honoured() {
     assert_eq!(desk.seen("").0, "###.");
     assert_eq!(desk.seen("--views 3,").0, "...#");
     desk.cameras(|file| file["train_filenames"] = json!(["images/7.png"]));
-    assert!(desk.refused(&format!("{RUN} t.json")).contains("found `images/7.png`"));
+    desk.refused(&format!("{RUN} t.json"), &["found `images/7.png`"]);
 }
 
 #[test]
 fn masked_pixels_were_not_trained_on() {
-    let desk = Desk::new();
+    let desk = Scene::new();
     desk.picture("black.png", 0);
     desk.picture("images/dynamic_mask_0.png", 255);
     desk.cameras(|file| file["frames"][2]["mask_path"] = json!("black.png"));
@@ -146,36 +128,33 @@ fn masked_pixels_were_not_trained_on() {
     assert_eq!(balls, ".#.#");
     assert!(said.contains("masks of 2 of 4 frames leave out 50.0 % of the pixels"), "{said}");
     // Not the cameras of a run without masks.
-    desk.run(&format!("{RUN} t.json --views all --seed 1 --keep-sums").replace("f.oct", "masked.oct"));
+    desk.good(&format!("{RUN} t.json --views all --seed 1 --keep-sums").replace("f.oct", "masked.oct"));
     desk.cameras(|_| {});
-    std::fs::remove_file(desk.path("images/dynamic_mask_0.png")).unwrap();
-    desk.run(&format!("{RUN} t.json --views all --keep-sums").replace("f.oct", "whole.oct"));
-    assert!(desk.refused("merge whole.oct masked.oct -o x.oct").contains("model and cameras of masked.oct"));
+    std::fs::remove_file(desk.join("images/dynamic_mask_0.png")).unwrap();
+    desk.good(&format!("{RUN} t.json --views all --keep-sums").replace("f.oct", "whole.oct"));
+    desk.refused("merge whole.oct masked.oct -o x.oct", &["model and cameras of masked.oct"]);
     desk.cameras(|file| {
         file["frames"].as_array_mut().unwrap().iter_mut().for_each(|f| f["mask_path"] = json!("black.png"));
     });
-    assert!(desk.refused(&format!("{RUN} t.json --views all")).contains("masks that keep none"));
-    image::GrayImage::new(SIDE, SIDE - 1).save(desk.path("black.png")).unwrap();
-    let error = desk.refused(&format!("{RUN} t.json --views all"));
-    assert!(error.contains("black.png: mask: expected 24 x 24 pixels, found 24 x 23 pixels"), "{error}");
+    desk.refused(&format!("{RUN} t.json --views all"), &["masks that keep none"]);
+    image::GrayImage::new(SIDE, SIDE - 1).save(desk.join("black.png")).unwrap();
+    desk.refused(&format!("{RUN} t.json --views all"), &["black.png: mask", "24 x 24", "24 x 23"]);
 }
 
 #[test]
 fn a_model_that_was_trained_with_masks_needs_them_again() {
-    let desk = Desk::new();
+    let desk = Scene::new();
     desk.picture("black.png", 0);
     desk.cameras(|file| file["frames"][2]["mask_path"] = json!("black.png"));
     let train = "train t.json -o m.safetensors --steps 20 --samples-per-step 4096 --log2-hashmap-size 12";
-    let (code, said) = desk.run(&format!("{train} --views all"));
-    assert_eq!(code, Some(0), "{said}");
-    let run = "uncertainty m.safetensors --level 4 --rays 2000 --occupancy 16 -o m.oct --views all --force";
-    let error = desk.refused(&run.replace(" --views all", ""));
-    assert!(error.contains("--cameras: expected the data set") && error.contains("1 cameras with masks"), "{error}");
+    desk.good(&format!("{train} --views all"));
+    let run = "uncertainty m.safetensors --level 4 --rays 2000 --occupancy 16 -o m.oct --force";
+    desk.refused(run, &["--cameras", "1 cameras with masks"]);
 }
 
 #[test]
 fn keys_that_nobody_reads_are_named_once() {
-    let desk = Desk::new();
+    let desk = Scene::new();
     desk.cameras(|file| {
         file["fancy_lens"] = json!(3);
         file["aabb_scale"] = json!(2);
@@ -183,14 +162,12 @@ fn keys_that_nobody_reads_are_named_once() {
         (0..4).for_each(|i| file["frames"][i]["tilt"] = json!(0.5));
     });
     let (_, said) = desk.seen("");
-    let line = "note: t.json: keys that are not read: `fancy_lens`, `tilt` (of frames)";
-    assert_eq!(said.lines().filter(|l| *l == line).count(), 1, "{said}");
-    assert!(!said.contains("aabb_scale"), "{said}");
-    assert!(said.contains("`scale` and `offset` are not instant-ngp's 0.33 and 0.5"), "{said}");
+    assert_eq!((said.matches("`fancy_lens`").count(), said.matches("`tilt`").count()), (1, 1), "{said}");
+    assert!(!said.contains("aabb_scale") && said.contains("`scale` and `offset`"), "{said}");
     desk.cameras(|file| {
         file["scale"] = json!(0.33);
         file["offset"] = json!([0.5, 0.5, 0.5]);
     });
     let (_, said) = desk.seen("");
-    assert!(!said.contains("instant-ngp's"), "{said}");
+    assert!(!said.contains("`scale`"), "{said}");
 }

@@ -7,6 +7,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use crate::program::cameras;
 use glam::Vec3;
 use octobayes::dataset::write_transforms;
 use octobayes::field::{ClosedForm, VoxelGrid};
@@ -39,13 +40,13 @@ printf '%s\n' "$@" >> "$TRACE"
 "#;
 
 /// A folder with a model, its cameras, and stand-ins for Slurm's commands.
-struct Desk {
+struct Cluster {
     _root: tempfile::TempDir,
     folder: PathBuf,
     bin: PathBuf,
 }
 
-impl Desk {
+impl Cluster {
     fn new(name: &str) -> Self {
         let root = tempfile::tempdir().unwrap();
         let [folder, bin] = [name, "bin"].map(|name| root.path().join(name));
@@ -56,9 +57,7 @@ impl Desk {
             std::fs::write(bin.join(name), text).unwrap();
             std::fs::set_permissions(bin.join(name), std::fs::Permissions::from_mode(0o755)).unwrap();
         }
-        let cameras = ClosedForm::half_circle(4, [32, 32]).into_iter().enumerate();
-        let named: Vec<_> = cameras.map(|(i, camera)| (format!("r_{i}"), camera)).collect();
-        write_transforms(&folder.join(RUN[2]), &named).unwrap();
+        write_transforms(&folder.join(RUN[2]), &cameras(4, [32; 2])).unwrap();
         VoxelGrid::bake(&ClosedForm::courtyard(), [33; 3], Vec3::Z).write(&folder.join(RUN[0])).unwrap();
         Self { _root: root, folder, bin }
     }
@@ -122,7 +121,7 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 
 #[test]
 fn a_dry_run_tells_what_the_run_takes_and_writes_nothing() {
-    let desk = Desk::new("plain");
+    let desk = Cluster::new("plain");
     let before = desk.files();
     let run = RUN.map(|word| if word == "6000" { "60000" } else { word });
     let dry = |more: &[&str]| desk.good(&[&["uncertainty", "--dry-run"], &run[..], more].concat());
@@ -150,7 +149,7 @@ fn a_dry_run_tells_what_the_run_takes_and_writes_nothing() {
 
 #[test]
 fn the_scripts_run_shards_and_merge_whatever_the_names() {
-    let desk = Desk::new("it's a \"run\", $HOME %a ü");
+    let desk = Cluster::new("it's a \"run\", $HOME %a ü");
     desk.good(&[&["uncertainty", "-o", "single.oct"], &RUN[..]].concat());
     let parts = desk.path(PARTS);
 
@@ -187,15 +186,12 @@ fn the_scripts_run_shards_and_merge_whatever_the_names() {
     succeeds(&desk.shard(2));
     let output = desk.merge();
     let stderr = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.code() == Some(2), "{stderr}");
-    assert!(
-        stderr.contains("lambda of ") && stderr.contains("/2.oct: expected ") && stderr.contains("/0.oct, found 1")
-    );
+    assert!(output.status.code() == Some(2) && stderr.contains("lambda of ") && stderr.contains("/2.oct"), "{stderr}");
 }
 
 #[test]
 fn what_a_signal_ended_queues_again_and_failures_do_not() {
-    let desk = Desk::new("signals");
+    let desk = Cluster::new("signals");
     let ended = |code: &str, restarts: &str| {
         let variables = [
             ("SLURM_ARRAY_TASK_ID", "1"),

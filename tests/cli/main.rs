@@ -23,6 +23,7 @@ mod next_view;
 mod npz;
 #[path = "../program/mod.rs"]
 mod program;
+mod refusals;
 mod residuals;
 mod scale;
 mod splats;

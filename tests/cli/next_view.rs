@@ -2,73 +2,74 @@
 
 use glam::DVec3;
 use octobayes::dataset::{Views, write_transforms};
-use octobayes::geometry::Camera;
+use octobayes::geometry::{Camera, opencv};
 use serde_json::Value;
 
-use crate::program::{good, run};
-use crate::splats::{folder, refused};
+use crate::program::Desk;
+use crate::splats::desk;
 
 const VOLUME: &str = "uncertainty scene:courtyard -o field.oct --level 5 --rays 4000 --resolution 32 --occupancy 32 \
                       --scale data --noise 0.05 --keep-sums";
 const SPLATS: &str = "uncertainty scene.ply --cameras transforms.json -o scene.oct --level 5 --rays 6000 \
                       --scale data --noise 0.05 --keep-sums";
+const RANK: &str = "next-view scene.ply scene.oct -o r.json";
 
-fn ranking(folder: &std::path::Path, name: &str) -> Value {
-    serde_json::from_str(&std::fs::read_to_string(folder.join(name)).unwrap()).unwrap()
-}
-
-/// All but times.
-fn figures(mut ranking: Value) -> Value {
+/// The ranking that a command writes, but for times.
+fn ranked(desk: &Desk, args: &str) -> Value {
+    desk.good(args);
+    let mut ranking: Value = serde_json::from_str(&desk.text("r.json")).unwrap();
     for step in ranking["steps"].as_array_mut().unwrap() {
         step.as_object_mut().unwrap().remove("seconds");
     }
     ranking
 }
 
+fn with_splats() -> Desk {
+    let desk = desk();
+    desk.good(SPLATS);
+    desk
+}
+
+/// The cameras of a file, in another file after a change.
+fn changed(desk: &Desk, to: &str, change: impl Fn(Camera) -> Camera) {
+    let frames = Views::read(&desk.join("transforms.json"), None).unwrap().frames;
+    let cameras: Vec<_> = frames.into_iter().map(|frame| (frame.name, change(frame.camera))).collect();
+    write_transforms(&desk.join(to), &cameras).unwrap();
+}
+
 #[test]
 fn a_resolution_is_that_of_the_candidates_too() {
-    let folder = folder();
-    let folder = folder.path();
-    good(folder, VOLUME);
-    let rank = |cameras: &str, output: &str| {
-        good(folder, &format!("next-view scene:courtyard field.oct --candidates {cameras} --take 2 -o {output}"));
-        figures(ranking(folder, output))
+    let desk = desk();
+    desk.good(VOLUME);
+    let rank = |cameras: &str| {
+        ranked(&desk, &format!("next-view scene:courtyard field.oct --candidates {cameras} --take 2 -o r.json"))
     };
-    let own = rank("transforms.json", "own.json");
-    let asked = rank("transforms.json --resolution 24x20 --chosen next.json", "asked.json");
-    let half = rank("transforms.json --resolution 24", "half.json");
+    let own = rank("transforms.json");
+    let asked = rank("transforms.json --resolution 24x20 --chosen next.json");
     // The same cameras, from a file that has them at half of the size.
-    let views = Views::read(&folder.join("transforms.json"), None).unwrap();
-    let small: Vec<(String, Camera)> =
-        views.frames.iter().map(|frame| (frame.name.clone(), frame.camera.resized([24, 20]))).collect();
-    write_transforms(&folder.join("small.json"), &small).unwrap();
-    assert_eq!(asked, rank("small.json", "small.ranking.json"));
-    assert_eq!(half, asked, "a width keeps the aspect ratio");
+    changed(&desk, "small.json", |camera| camera.resized([24, 20]));
+    assert_eq!(asked, rank("small.json"));
+    assert_eq!(rank("transforms.json --resolution 24"), asked, "a width keeps the aspect ratio");
     let pixels = |ranking: &Value| {
         let step = &ranking["steps"][0];
         (step["gain"].as_f64().unwrap() / step["gain_per_pixel"].as_f64().unwrap()).round() as u64
     };
     assert_eq!((pixels(&own), pixels(&asked)), (48 * 40, 24 * 20));
-    let chosen = Views::read(&folder.join("next.json"), None).unwrap();
+    let chosen = Views::read(&desk.join("next.json"), None).unwrap();
     assert!(chosen.frames.len() == 2 && chosen.frames.iter().all(|frame| frame.camera.resolution == [24, 20]));
 }
 
 #[test]
 fn views_of_splats_are_ranked_from_files_and_made() {
-    let folder = folder();
-    let folder = folder.path();
-    good(folder, SPLATS);
-    let rank = |options: &str| {
-        good(folder, &format!("next-view scene.ply scene.oct --cameras transforms.json -o r.json {options}"));
-        figures(ranking(folder, "r.json"))
-    };
+    let desk = with_splats();
+    let rank = |options: &str| ranked(&desk, &format!("{RANK} --cameras transforms.json {options}"));
     let first = rank("--orbit 8 --take 3 --chosen next.json --map gain.png --threads 1");
     assert_eq!(first, rank("--orbit 8 --take 3 --map gain.exr --threads 2"));
-    assert!(folder.join("gain.png").is_file() && folder.join("gain.exr").is_file());
+    assert!(desk.join("gain.png").is_file() && desk.join("gain.exr").is_file());
     let gains: Vec<f64> = first["steps"].as_array().unwrap().iter().map(|s| s["gain"].as_f64().unwrap()).collect();
     assert!(gains.len() == 3 && gains[0] >= gains[1] && gains[1] >= gains[2] && gains[2] > 0.0, "{gains:?}");
     // The cameras stand at x > 0; the best view is of the other side.
-    let chosen = Views::read(&folder.join("next.json"), None).unwrap();
+    let chosen = Views::read(&desk.join("next.json"), None).unwrap();
     assert!(chosen.frames[0].camera.position.x < 0.0, "{:?}", chosen.frames[0].camera);
     // Chosen cameras are candidates of their own; the training cameras tell less than what was not seen.
     let again = rank("--candidates next.json");
@@ -77,16 +78,12 @@ fn views_of_splats_are_ranked_from_files_and_made() {
     // On a level circle, around the given axis if there is one.
     for (given, up) in [("", DVec3::Z), ("--up=0,3,-4", DVec3::new(0.0, 0.6, -0.8))] {
         rank(&format!("--orbit 8 {given} --take 8 --pixels 64 --chosen level.json"));
-        let level = Views::read(&folder.join("level.json"), None).unwrap().cameras();
+        let level = Views::read(&desk.join("level.json"), None).unwrap().cameras();
         let heights: Vec<f64> = level.iter().map(|camera| camera.position.dot(up)).collect();
         assert!(level.len() > 5 && heights.iter().all(|height| (height - heights[0]).abs() < 1e-9), "{heights:?}");
         assert!(level.iter().all(|camera| camera.axes.x_axis.dot(up).abs() < 1e-9), "{given}");
     }
-    refused(
-        folder,
-        "next-view scene.ply scene.oct --candidates next.json --up 0,0,1 -o x.json",
-        &["--up", "--candidates"],
-    );
+    desk.refused(&format!("{RANK} --candidates next.json --up 0,0,1"), &["--up", "--candidates"]);
     let trace = rank("--sphere 12 --upper --gain trace --take 2");
     assert_eq!((&trace["gain"], trace["candidates"].as_array().unwrap().len()), (&"trace".into(), 12));
     let coverage = rank("--orbit 8 --gain coverage");
@@ -96,114 +93,74 @@ fn views_of_splats_are_ranked_from_files_and_made() {
 
 #[test]
 fn nothing_is_a_gain_of_zero_without_a_sign() {
-    let folder = folder();
-    let folder = folder.path();
-    good(folder, VOLUME);
-    let mut views = Views::read(&folder.join("transforms.json"), None).unwrap().cameras();
-    views[0].position *= -1.0;
-    let named: Vec<(String, Camera)> =
-        views.into_iter().enumerate().map(|(i, view)| (format!("c_{i}"), view)).collect();
-    write_transforms(&folder.join("away.json"), &named).unwrap();
+    let desk = desk();
+    desk.good(VOLUME);
+    // One camera looks away from the other side.
+    let turn = |camera: Camera| Camera { position: -camera.position, ..camera };
+    changed(&desk, "away.json", |camera| if camera.position.y.abs() < 1e-9 { turn(camera) } else { camera });
     for gain in ["logdet", "trace", "coverage"] {
-        good(
-            folder,
-            &format!(
-                "next-view scene:courtyard field.oct --candidates away.json --gain {gain} --resolution 24 -o r.json"
-            ),
-        );
-        let text = std::fs::read_to_string(folder.join("r.json")).unwrap();
+        let rank = "next-view scene:courtyard field.oct --candidates away.json --resolution 24 -o r.json";
+        desk.good(&format!("{rank} --gain {gain}"));
+        let text = desk.text("r.json");
         assert!(text.contains("\"gain\": 0.0") && !text.contains("-0.0"), "{gain}: {text}");
     }
 }
 
 #[test]
 fn no_output_replaces_an_image_or_comes_before_a_refusal() {
-    let folder = folder();
-    let folder = folder.path();
-    good(folder, SPLATS);
-    std::fs::copy(folder.join("transforms.json"), folder.join("others.json")).unwrap();
-    std::fs::write(folder.join("r_1.png"), "a photograph").unwrap();
-    let rank = "next-view scene.ply scene.oct -o r.json";
-    let cases = [
-        ("--cameras transforms.json --orbit 4 --map r_1.png", "an image of --cameras"),
-        ("--cameras transforms.json --orbit 4 --chosen r_1.png", "an image of --cameras"),
-        ("--candidates transforms.json --map ./r_1.png", "an image of --candidates"),
-        ("--cameras others.json --candidates transforms.json --map r_1.png", "an image of --"),
-    ];
-    for (options, named) in cases {
-        refused(folder, &format!("{rank} {options}"), &["the same file as", named]);
+    let desk = with_splats();
+    std::fs::copy(desk.join("transforms.json"), desk.join("others.json")).unwrap();
+    desk.write("r_01.png", "a photograph");
+    for (options, named) in [
+        ("--cameras transforms.json --orbit 4 --map r_01.png", "an image of --cameras"),
+        ("--cameras transforms.json --orbit 4 --chosen r_01.png", "an image of --cameras"),
+        ("--candidates transforms.json --map ./r_01.png", "an image of --candidates"),
+        ("--cameras others.json --candidates transforms.json --map r_01.png", "an image of --"),
+    ] {
+        desk.refused(&format!("{RANK} {options}"), &["the same file as", named]);
     }
     let options = "--cameras transforms.json --orbit 4 --gain coverage --map gain.png";
-    refused(folder, &format!("{rank} {options}"), &["map", "`coverage`"]);
-    assert!(!folder.join("r.json").exists() && !folder.join("gain.png").exists());
-    assert_eq!(std::fs::read_to_string(folder.join("r_1.png")).unwrap(), "a photograph");
+    desk.refused(&format!("{RANK} {options}"), &["map", "`coverage`"]);
 }
 
 #[test]
 fn what_splats_cannot_be_ranked_by_is_refused_by_name() {
-    let folder = folder();
-    let folder = folder.path();
-    good(folder, SPLATS);
-    let rank = "next-view scene.ply scene.oct -o r.json";
-    refused(folder, &format!("{rank} --orbit 4"), &["--cameras", "brings no cameras"]);
-    refused(
-        folder,
-        &format!("{rank} --candidates transforms.json --gain coverage"),
-        &["--cameras", "brings no cameras"],
-    );
-    let text = std::fs::read_to_string(folder.join("transforms.json")).unwrap();
-    let mut bent: Value = serde_json::from_str(&text).unwrap();
+    let desk = with_splats();
+    desk.refused(&format!("{RANK} --orbit 4"), &["--cameras", "brings no cameras"]);
+    desk.refused(&format!("{RANK} --candidates transforms.json --gain coverage"), &["--cameras", "brings no cameras"]);
+    let mut bent: Value = serde_json::from_str(&desk.text("transforms.json")).unwrap();
     bent["frames"][1]["k1"] = 0.1.into();
     bent["k1"] = 0.1.into();
-    std::fs::write(folder.join("bent.json"), bent.to_string()).unwrap();
-    refused(folder, &format!("{rank} --candidates bent.json"), &["cameras of splats", "no lens distortion"]);
-    good(folder, "uncertainty scene.ply --cameras transforms.json -o paper.oct --level 5 --rays 6000 --keep-sums");
-    let rank = "next-view scene.ply paper.oct --candidates transforms.json -o r.json";
-    refused(folder, rank, &["--scale data", "--for next-view"]);
-    good(folder, "uncertainty scene.ply --cameras transforms.json -o bare.oct --rays 6000 --scale data --noise 0.05");
-    refused(folder, &rank.replace("paper", "bare"), &["--keep-sums", "--for next-view"]);
+    desk.write("bent.json", bent.to_string());
+    desk.refused(&format!("{RANK} --candidates bent.json"), &["cameras of splats", "no lens distortion"]);
+    let run = "uncertainty scene.ply --cameras transforms.json --rays 6000 -o";
+    desk.good(&format!("{run} paper.oct --level 5 --keep-sums"));
+    desk.good(&format!("{run} bare.oct --scale data --noise 0.05"));
+    let rank = |field: &str| format!("{} --candidates transforms.json", RANK.replace("scene.oct", field));
+    desk.refused(&rank("paper.oct"), &["--scale data", "--for next-view"]);
+    desk.refused(&rank("bare.oct"), &["--keep-sums", "--for next-view"]);
     // The preset that both name makes a field that can be ranked by, of splats at their own level.
-    let preset = "uncertainty scene.ply --cameras transforms.json -o made.oct --rays 6000 --for next-view";
-    refused(folder, preset, &["--noise", "10^(-PSNR/20)"]);
-    good(folder, &format!("{preset} --noise 0.05"));
-    good(folder, &rank.replace("paper", "made").replace("r.json", "ranked.json"));
-    assert!(!folder.join("r.json").exists());
+    desk.refused(&format!("{run} made.oct --for next-view"), &["--noise", "10^(-PSNR/20)"]);
+    desk.good(&format!("{run} made.oct --for next-view --noise 0.05"));
+    desk.good(&rank("made.oct"));
 }
 
 #[test]
 fn candidates_with_the_axes_of_opencv_are_told() {
-    let folder = folder();
-    let folder = folder.path();
-    good(folder, SPLATS);
-    let frames = Views::read(&folder.join("transforms.json"), None).unwrap().frames;
-    let write = |name: &str, sign: f64| {
-        let opencv =
-            |camera: Camera| Camera { position: sign * camera.position, ..octobayes::geometry::opencv(&camera) };
-        let cameras: Vec<_> = frames.iter().map(|frame| (frame.name.clone(), opencv(frame.camera))).collect();
-        write_transforms(&folder.join(name), &cameras).unwrap();
-    };
-    let rank = |name: &str| format!("next-view scene.ply scene.oct --candidates {name} -o r.json");
-    write("away.json", 1.0);
-    let expected = [
-        "error: --candidates: expected views that tell something; ",
-        "OpenCV's camera axes instead of OpenGL's: turned, ",
-        "found 4 of 4 candidates: gain 0, looks past the box (r_0, r_1, r_2, …)",
-    ];
-    refused(folder, &rank("away.json"), &expected);
-    assert!(!folder.join("r.json").exists());
+    let desk = with_splats();
+    let rank = |name: &str| format!("{RANK} --candidates {name}");
+    changed(&desk, "away.json", |camera| opencv(&camera));
+    desk.refused(&rank("away.json"), &["--candidates", "OpenCV's camera axes", "4 of 4", "looks past the box"]);
     // From the other side they see the model as well, as they do in a room, but upside down.
-    write("across.json", -1.0);
-    let said = |name: &str| String::from_utf8(run(folder, &rank(name)).stderr).unwrap();
-    assert!(said("across.json").contains("warning: the candidates' up axes point down"), "{}", said("across.json"));
-    assert!(!said("transforms.json").contains("warning"), "{}", said("transforms.json"));
+    changed(&desk, "across.json", |camera| Camera { position: -camera.position, ..opencv(&camera) });
+    assert!(desk.said(&rank("across.json")).contains("warning: the candidates' up axes point down"));
+    assert!(!desk.said(&rank("transforms.json")).contains("warning"));
 }
 
 #[test]
 fn a_camera_path_serves_as_candidates() {
-    let folder = folder();
-    let folder = folder.path();
-    good(folder, SPLATS);
-    let frames = Views::read(&folder.join("transforms.json"), None).unwrap().frames;
+    let desk = with_splats();
+    let frames = Views::read(&desk.join("transforms.json"), None).unwrap().frames;
     let camera = |frame: &octobayes::dataset::Frame| {
         let Camera { position, axes, focal, resolution, .. } = frame.camera;
         let row = |k: usize| [axes.x_axis[k], axes.y_axis[k], axes.z_axis[k], position[k]];
@@ -214,13 +171,13 @@ fn a_camera_path_serves_as_candidates() {
     let list: Vec<Value> = frames.iter().map(camera).collect();
     let file = serde_json::json!({ "camera_type": "perspective", "render_width": 48, "render_height": 40,
         "camera_path": list });
-    std::fs::write(folder.join("camera_path.json"), file.to_string()).unwrap();
+    desk.write("camera_path.json", file.to_string());
     let gains = |name: &str| -> Vec<f64> {
-        good(folder, &format!("next-view scene.ply scene.oct --candidates {name} -o r.json"));
-        let candidates = ranking(folder, "r.json")["candidates"].as_array().unwrap().clone();
-        candidates.iter().map(|candidate| candidate["gain"].as_f64().unwrap()).collect()
+        let ranking = ranked(&desk, &format!("{RANK} --candidates {name}"));
+        let candidates = ranking["candidates"].as_array().unwrap().iter();
+        candidates.map(|candidate| candidate["gain"].as_f64().unwrap()).collect()
     };
     let (path, own) = (gains("camera_path.json"), gains("transforms.json"));
     assert!(path.len() == 4 && path.iter().zip(&own).all(|(a, b)| (a / b - 1.0).abs() < 1e-6), "{path:?} {own:?}");
-    refused(folder, "uncertainty scene.ply --cameras camera_path.json --level 4 -o x.oct", &["a camera path, along"]);
+    desk.refused("uncertainty scene.ply --cameras camera_path.json --level 4 -o x.oct", &["a camera path"]);
 }

@@ -1,24 +1,16 @@
 //! `--scale data`: deviations in scene units, from the command line.
 
-use crate::program::{good, run};
-use octobayes::field::ClosedForm;
-use octobayes::geometry::Camera;
+use crate::program::Desk;
 use octobayes::posterior::Scale;
 use octobayes::uncertainty::{Observability, UncertaintyField};
 
-const RUN: &str = "uncertainty scene:ball --cameras transforms.json --level 5 --rays 4000 --occupancy 32";
+const RUN: &str = "uncertainty scene:ball --cameras cameras.json --level 5 --rays 4000 --occupancy 32";
 
 #[test]
 fn more_pixels_and_less_noise_make_a_scene_more_certain() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    let cameras = |size| {
-        let cameras = ClosedForm::half_circle(4, [size; 2]).into_iter().enumerate();
-        cameras.map(|(i, c)| (format!("r_{i}"), c)).collect::<Vec<(String, Camera)>>()
-    };
-    octobayes::dataset::write_transforms(&folder.join("transforms.json"), &cameras(32)).unwrap();
-    good(folder, &format!("{RUN} --scale data --noise 0.03162277660168379 --keep-sums -o data.oct"));
-    let field = UncertaintyField::read(&folder.join("data.oct")).unwrap();
+    let desk = Desk::new(4, 32);
+    desk.good(&format!("{RUN} --scale data --noise 0.03162277660168379 --keep-sums -o data.oct"));
+    let field = desk.field("data.oct");
     let Scale::Data(data) = field.record().scale else { panic!("the scale is stored") };
     // All pixels of the cameras, the noise of 30 dB, 0.02 of the longest edge.
     let edge = field.lattice().domain().size().max_element();
@@ -27,75 +19,62 @@ fn more_pixels_and_less_noise_make_a_scene_more_certain() {
     assert!((field.prior() / (3_f64.sqrt() * 0.02 * edge) - 1.0).abs() < 1e-6);
 
     // A tenth of the noise's square: up to ten times as much is known, beside the prior.
-    good(folder, &format!("{RUN} --scale data --noise 0.01 -o sharp.oct"));
-    let sharp = UncertaintyField::read(&folder.join("sharp.oct")).unwrap();
+    desk.good(&format!("{RUN} --scale data --noise 0.01 -o sharp.oct"));
+    let sharp = desk.field("sharp.oct");
     let x = glam::Vec3::from_array(field.surface()[0]);
     let [one, ten] = [&field, &sharp].map(|field| field.query(x).uncertainty);
     assert!(ten < one && one < field.prior() && one < 10_f64.sqrt() * 1.001 * ten, "{ten}, {one}");
     // Rays only sample the pixels: twice as many leave the posterior where it is, to their own noise of some tenths.
-    good(folder, &format!("{} --scale data --noise 0.03162277660168379 -o more.oct", RUN.replace("4000", "8000")));
-    let more = UncertaintyField::read(&folder.join("more.oct")).unwrap();
+    desk.good(&format!("{} --scale data --noise 0.03162277660168379 -o more.oct", RUN.replace("4000", "8000")));
+    let more = desk.field("more.oct");
     let median = |field: &UncertaintyField| field.surface_quantiles([0.5]).unwrap()[0];
     assert!((median(&more) - median(&field)).abs() < 0.15, "{} and {}", median(&more), median(&field));
 
-    // The two scales are not compared in silence, and say what they are.
-    good(folder, &format!("{RUN} -o paper.oct"));
-    let output = run(folder, "compare paper.oct data.oct");
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.code() == Some(2) && said.contains("scale of data.oct: expected `paper`"), "{said}");
-    good(folder, "compare paper.oct data.oct --force --points 1000");
-    assert!(good(folder, "info data.oct").contains("a deviation in scene units, from 4096 pixels of noise 0.0316"));
-    let info = good(folder, "info paper.oct");
-    assert!(info.contains("not a length"));
-    // What a file has, and what would make what it lacks.
-    assert!(info.contains("sums             no: one covariance, and no merging; uncertainty --keep-sums"), "{info}");
-    assert!(good(folder, "info data.oct").contains("sums             every covariance"));
-    let value: serde_json::Value = serde_json::from_str(&good(folder, "info paper.oct --json")).unwrap();
+    // The two scales are not compared in silence, and a field says which it has.
+    desk.good(&format!("{RUN} -o paper.oct"));
+    desk.refused("compare paper.oct data.oct", &["scale of data.oct", "`paper`"]);
+    desk.good("compare paper.oct data.oct --force --points 1000");
+    assert!(desk.good("info data.oct").contains("a deviation in scene units, from 4096 pixels of noise 0.0316"));
+    assert!(desk.good("info paper.oct").contains("not a length"));
+    let value = desk.json("info paper.oct");
     assert_eq!((&value["answers"]["sums"], &value["answers"]["ray coverage"]), (&false.into(), &true.into()));
 }
 
 /// What a purpose needs is set unless it is given, and noted; a dry run plans the same.
 #[test]
 fn a_purpose_sets_what_its_verb_needs() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
+    let desk = Desk::empty();
     let run_for = |options: &str| {
-        let args = format!("uncertainty scene:ball --rays 2000 --resolution 24 --occupancy 16 -o f.oct {options}");
-        let output = run(folder, &args);
-        let said = String::from_utf8(output.stderr).unwrap();
-        assert!(output.status.success(), "{options}: {said}");
-        (UncertaintyField::read(&folder.join("f.oct")).unwrap(), said)
+        let run = "uncertainty scene:ball --rays 2000 --resolution 24 --occupancy 16 -o f.oct";
+        let said = desk.said(&format!("{run} {options}"));
+        (desk.field("f.oct"), said)
     };
     let (field, said) = run_for("--for depth --noise 0.05 --level 4");
-    assert!(said.contains("note: --for depth sets --covariance block, --scale data, --keep-sums"), "{said}");
-    assert!(said.contains("--images"), "what a volume needs besides: {said}");
+    assert!(said.contains("sets --covariance block, --scale data, --keep-sums") && said.contains("--images"), "{said}");
     assert!(field.depth_posterior().is_ok() && field.sums().is_some());
     assert_eq!((field.lattice().level(), field.record().covariance.name()), (4, "block"));
     let (field, said) = run_for("--for ranking --covariance trace");
-    assert!(said.contains("note: --for ranking sets --level 6\n"), "{said}");
+    assert!(said.contains("sets --level 6\n"), "{said}");
     assert_eq!((field.lattice().level(), field.record().covariance.name()), (6, "trace"));
     let (_, said) = run_for("--for next-view --noise 0.05 --level 4 --scale data --keep-sums");
     assert!(!said.contains("sets"), "{said}");
-    let output =
-        run(folder, "uncertainty scene:ball --for ranking --dry-run --resolution 24 --occupancy 16 --rays 2000");
-    assert!(String::from_utf8(output.stdout).unwrap().contains("run     level 6,"), "a dry run plans the same");
+    let dry = "uncertainty scene:ball --for ranking --dry-run --resolution 24 --occupancy 16 --rays 2000";
+    assert_eq!(desk.json(dry)["level"], 6);
     // An answer that is no length comes with a note; one that is comes without.
-    let paper = run_for("--level 4").0;
-    assert!(matches!(paper.record().scale, Scale::Paper));
-    assert!(String::from_utf8(run(folder, "query f.oct 0,0,0").stderr).unwrap().contains("is no length"));
+    run_for("--level 4");
+    assert!(desk.said("query f.oct 0,0,0").contains("is no length"));
     run_for("--level 4 --scale data --noise 0.05");
-    assert_eq!(String::from_utf8(run(folder, "query f.oct 0,0,0").stderr).unwrap(), "");
+    assert_eq!(desk.said("query f.oct 0,0,0"), "");
 }
 
 /// Whether images say something of a place does not depend on what U is a deviation of.
 #[test]
 fn what_was_seen_is_the_same_on_both_scales() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
+    let desk = Desk::empty();
     let run = "uncertainty scene:courtyard --level 6 --rays 50000 --resolution 64 --occupancy 64";
-    good(folder, &format!("{run} -o paper.oct"));
-    good(folder, &format!("{run} --scale data --noise 0.03162277660168379 -o data.oct"));
-    let fields = ["paper.oct", "data.oct"].map(|name| UncertaintyField::read(&folder.join(name)).unwrap());
+    desk.good(&format!("{run} -o paper.oct"));
+    desk.good(&format!("{run} --scale data --noise 0.03162277660168379 -o data.oct"));
+    let fields = ["paper.oct", "data.oct"].map(|name| desk.field(name));
     let words = |x: glam::Vec3| [0, 1].map(|i| fields[i].observability(x, fields[i].query(x).uncertainty).unwrap());
     let at = |n: i32| -0.99 + 1.98 * n as f32 / 30.0;
     let points = (0..31 * 31 * 31).map(|n| glam::Vec3::new(at(n / 961), at(n / 31 % 31), at(n % 31)));
@@ -110,31 +89,22 @@ fn what_was_seen_is_the_same_on_both_scales() {
 }
 
 #[test]
-fn fields_of_two_models_are_not_compared_in_silence() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    let args = "--level 4 --rays 1000 --resolution 32 --occupancy 16 --box=-1,-1,-1,1,1,1";
-    good(folder, &format!("uncertainty scene:ball {args} -o ball.oct"));
-    good(folder, &format!("uncertainty scene:courtyard {args} -o courtyard.oct"));
-    let output = run(folder, "compare ball.oct courtyard.oct");
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.code() == Some(2) && said.contains("model of courtyard.oct"), "{said}");
-    let output = run(folder, "compare ball.oct courtyard.oct --force --points 1000");
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() && said.contains("warning: model of courtyard.oct"), "{said}");
-}
-
-#[test]
-fn fields_of_two_levels_are_not_compared_in_silence() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    let run_at = "uncertainty scene:ball --rays 1000 --resolution 32 --occupancy 16 --box=-1,-1,-1,1,1,1 --level";
+fn fields_of_two_models_or_levels_are_not_compared_in_silence() {
+    let desk = Desk::empty();
+    let run = |scene: &str, more: &str| {
+        let box_of_all = "--resolution 32 --occupancy 16 --box=-1,-1,-1,1,1,1";
+        desk.good(&format!("uncertainty scene:{scene} --rays 1000 {box_of_all} {more}"));
+    };
+    run("ball", "--level 4 -o ball.oct");
+    run("courtyard", "--level 4 -o courtyard.oct");
+    desk.refused("compare ball.oct courtyard.oct", &["model of courtyard.oct", "--force"]);
+    let said = desk.said("compare ball.oct courtyard.oct --force --points 1000");
+    assert!(said.contains("warning: model of courtyard.oct"), "{said}");
     for scale in ["", "--scale data --noise 0.03"] {
-        good(folder, &format!("{run_at} 4 {scale} -o coarse.oct"));
-        good(folder, &format!("{run_at} 5 {scale} -o fine.oct"));
-        let output = run(folder, "compare coarse.oct fine.oct --points 1000");
-        let said = String::from_utf8(output.stderr).unwrap();
+        run("ball", &format!("--level 4 {scale} -o coarse.oct"));
+        run("ball", &format!("--level 5 {scale} -o fine.oct"));
+        let said = desk.said("compare coarse.oct fine.oct --points 1000");
         // In the paper's scale the prior is that of a cell's size.
-        assert_eq!(said.contains("warning: U of one field is on another scale"), scale.is_empty(), "{scale}: {said}");
+        assert_eq!(said.contains("U of one field is on another scale"), scale.is_empty(), "{scale}: {said}");
     }
 }

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use crate::program::{command, run};
+use crate::program::Desk;
 use glam::DVec3;
 use octobayes::Error;
 use octobayes::dataset::Hemisphere;
@@ -166,59 +166,39 @@ fn depth_of_a_plane_is_exact_to_f32() {
 
 #[test]
 fn one_thread_and_two_write_the_same_bytes() {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("ball.obj"), sphere(8)).unwrap();
+    let desk = Desk::empty();
+    desk.write("ball.obj", sphere(8));
+    let options = "--count 2 --test-count 1 --resolution 40x30 --samples-per-pixel 4 --up z";
     for threads in [1, 2] {
-        let options = "--count 2 --test-count 1 --resolution 40x30 --samples-per-pixel 4 --up z";
-        let output = run(folder.path(), &format!("synth ball.obj -o data{threads} {options} --threads {threads}"));
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        desk.good(&format!("synth ball.obj -o data{threads} {options} --threads {threads}"));
     }
-    let names = [
-        "README.md",
-        "dataset.json",
-        "transforms_train.json",
-        "transforms_test.json",
-        "images/train_0000.png",
-        "images/train_0001.png",
-        "images/test_0000.png",
-        "depth/train_0000.exr",
-        "depth/train_0001.exr",
-        "depth/test_0000.exr",
-        "depth/train_0000.png",
-        "depth/train_0001.png",
-        "depth/test_0000.png",
-    ];
-    for name in names {
-        let [one, two] = [1, 2].map(|n| std::fs::read(folder.path().join(format!("data{n}/{name}"))).unwrap());
+    let pictures = ["train_0000", "train_0001", "test_0000"].into_iter();
+    let pictures =
+        pictures.flat_map(|i| [format!("images/{i}.png"), format!("depth/{i}.exr"), format!("depth/{i}.png")]);
+    let files = ["README.md", "dataset.json", "transforms_train.json", "transforms_test.json"].map(String::from);
+    for name in pictures.chain(files) {
+        let [one, two] = [1, 2].map(|n| desk.bytes(&format!("data{n}/{name}")));
         assert!(!one.is_empty() && one == two, "{name} differs");
     }
 }
 
 #[test]
 fn refusals_are_one_line_and_leave_nothing() {
-    let folder = tempfile::tempdir().unwrap();
-    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
-    write("quad.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n");
-    write("nan.obj", "v 0 0 nan\nv 1 0 0\nv 1 1 0\nf 1 2 3\n");
-    write("good.obj", &sphere(3));
-    std::fs::create_dir(folder.path().join("full")).unwrap();
-    write("full/file", "kept");
-    let cases = [
-        ("synth quad.obj -o out", "quad.obj: face 1: expected 3 corners"),
-        ("synth nan.obj -o out", "nan.obj: mesh: expected finite coordinates"),
-        ("synth none.obj -o out", "none.obj: cannot read"),
-        ("synth good.obj -o full", "full: output folder: expected a new or empty folder"),
-        ("synth good.obj -o quad.obj", "quad.obj: cannot read the folder"),
-        ("synth good.obj -o no/such", "no/such: cannot create the folder"),
-        ("synth good.obj -o out --resolution 65536", "resolution: expected 1 to 100000000 pixels"),
+    let desk = Desk::empty();
+    desk.write("quad.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n");
+    desk.write("far.obj", "v 4999999 0 0\nv 5000000 0 0\nv 5000000 1 0\nf 1 2 3\n");
+    desk.write("good.obj", sphere(3));
+    std::fs::create_dir(desk.join("full")).unwrap();
+    desk.write("full/file", "kept");
+    let rows: [(&str, &[&str]); 6] = [
+        ("quad.obj -o out", &["quad.obj: face 1", "3 corners", "found 4"]),
+        ("far.obj -o out", &["far.obj: mesh", "near its origin", "5000000"]),
+        ("good.obj -o full", &["full: output folder"]),
+        ("good.obj -o quad.obj", &["quad.obj"]),
+        ("good.obj -o no/such", &["no/such"]),
+        ("good.obj -o out --resolution 65536", &["resolution"]),
     ];
-    for (args, expected) in cases {
-        let output = run(folder.path(), args);
-        let message = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert_eq!(output.status.code(), Some(2), "{args}: {message}");
-        assert!(message.contains(expected) && message.trim_end().lines().count() == 1, "{args}: {message}");
-    }
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 4, "nothing new is left");
+    rows.iter().for_each(|(args, words)| drop(desk.refused(&format!("synth {args}"), words)));
 }
 
 /// Asks the work to stop once `left` units are done.
@@ -262,12 +242,12 @@ fn interrupted_runs_leave_nothing() {
 #[test]
 #[cfg(unix)]
 fn a_program_that_is_told_to_end_leaves_nothing_and_one_that_is_killed_leaves_it_to_the_next() {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("ball.obj"), sphere(8)).unwrap();
-    let count = || std::fs::read_dir(folder.path()).unwrap().count();
+    let desk = Desk::empty();
+    desk.write("ball.obj", sphere(8));
+    let count = || desk.files().len();
     let start = |views: u32| {
         let args = format!("synth ball.obj -o data --count {views} --test-count 1 --resolution 60");
-        command(folder.path(), &args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+        desk.command(&args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
     };
     for signal in ["-INT", "-TERM"] {
         let mut child = start(100_000);
@@ -287,7 +267,7 @@ fn a_program_that_is_told_to_end_leaves_nothing_and_one_that_is_killed_leaves_it
     assert_eq!(count(), 2, "the mesh and what was left");
     assert!(start(1).wait().unwrap().success());
     assert_eq!(count(), 2, "the mesh and the data");
-    assert!(folder.path().join("data/transforms_train.json").exists());
+    assert!(desk.join("data/transforms_train.json").exists());
 }
 
 #[test]

@@ -3,33 +3,23 @@
 #[cfg(unix)]
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
 #[cfg(unix)]
 use crate::interrupt::{send, stopped, wait_for};
-use crate::program::{self, good, run};
+use crate::program::Desk;
 use octobayes::estimate::{Checkpoint, Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::ClosedForm;
-use octobayes::uncertainty::{UncertaintyField, compare};
+use octobayes::uncertainty::compare;
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 
-fn command(folder: &Path, args: &str) -> Command {
-    let mut command = program::command(folder, args);
-    command.stdout(Stdio::null()).stderr(Stdio::piped());
-    command
+fn spawned(desk: &Desk, args: &str) -> Child {
+    desk.command(args).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
-fn folder_with_cameras() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let cameras = ClosedForm::half_circle(6, [64, 64]);
-    let named: Vec<_> = cameras.into_iter().enumerate().map(|(i, camera)| (format!("r_{i}"), camera)).collect();
-    octobayes::dataset::write_transforms(&folder.path().join("transforms.json"), &named).unwrap();
-    folder
-}
-
-const RUN: &str = "uncertainty scene:courtyard --cameras transforms.json --level 6 --rays 20000 --occupancy 40";
+const RUN: &str = "uncertainty scene:courtyard --cameras cameras.json --level 6 --rays 20000 --occupancy 40";
 
 /// A run by the library, which saves its state as often as it is asked to.
 fn estimate(folder: &Path, grid: GridKind, every: Option<Duration>, output: &str) {
@@ -64,7 +54,7 @@ fn the_state_of_another_run_stays() {
 /// Where the process of [`worker`] works, and on which grid.
 const WORKPLACE: [&str; 2] = ["OCTOBAYES_TEST_FOLDER", "OCTOBAYES_TEST_GRID"];
 
-/// No test but a process of its own for [`twenty_kills_at_random_moments_change_no_bit`], which kills it.
+/// No test but a process of its own for [`kills_change_no_bit`], which kills it.
 #[test]
 #[ignore = "started by another test, which kills it"]
 fn worker() {
@@ -73,11 +63,23 @@ fn worker() {
     estimate(Path::new(&folder), grid, Some(Duration::ZERO), "parts.oct");
 }
 
-/// `kill -9` gives a process no chance to do anything. Whatever moment it hits, the run can be resumed and ends
-/// with the same bytes.
 #[test]
 #[cfg(unix)]
-fn twenty_kills_at_random_moments_change_no_bit() {
+fn kills_at_random_moments_change_no_bit() {
+    kills_change_no_bit(3);
+}
+
+#[test]
+#[cfg(unix)]
+#[ignore = "slow: many kills"]
+fn many_kills_at_random_moments_change_no_bit() {
+    kills_change_no_bit(20);
+}
+
+/// `kill -9` gives a process no chance to do anything. Whatever moment it hits, the run can be resumed and ends
+/// with the same bytes.
+#[cfg(unix)]
+fn kills_change_no_bit(least: usize) {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     for (grid, name) in [(GridKind::Octree, "octree"), (GridKind::Dense, "dense")] {
@@ -90,7 +92,7 @@ fn twenty_kills_at_random_moments_change_no_bit() {
     let is_saving = || std::fs::read_dir(folder).unwrap().any(is_part);
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let (mut kills, mut runs, mut resumed) = (0, 0, 0);
-    while kills < 20 || runs < 2 {
+    while kills < least || runs < 2 {
         let grid = ["octree", "dense"][runs % 2];
         let _ = std::fs::remove_file(folder.join("parts.oct"));
         resumed += usize::from(folder.join("run.chk").exists());
@@ -134,21 +136,20 @@ fn twenty_kills_at_random_moments_change_no_bit() {
             }
         }
     }
-    assert!(resumed >= 10, "{resumed} of {kills} attempts found a checkpoint: the test must interrupt real progress");
+    assert!(2 * resumed >= least, "{resumed} of {kills} attempts found a checkpoint: none interrupts real progress");
 }
 
 /// Each group of a run with error bars has its own state, saved when the group is complete. Killed in any group, the
 /// run ends with the same bytes.
 #[test]
 fn groups_of_rays_are_taken_up_where_they_stopped() {
-    let folder = folder_with_cameras();
-    let folder = folder.path();
-    good(folder, &format!("{RUN} --error-bars 4 -o whole.oct"));
+    let desk = Desk::new(6, 64);
+    desk.good(&format!("{RUN} --error-bars 4 -o whole.oct"));
     let args = format!("{RUN} --error-bars 4 -o parts.oct --checkpoint run.chk");
-    let state = |g: usize| folder.join(format!("run.chk.{g}"));
+    let state = |g: usize| desk.join(format!("run.chk.{g}"));
     // Killed as soon as a group has a state, which is in the next one.
     for g in 0..3 {
-        let mut child = command(folder, &args).spawn().unwrap();
+        let mut child = spawned(&desk, &args);
         while !state(g).exists() {
             assert!(child.try_wait().unwrap().is_none(), "the run ended before group {g} did");
             std::thread::sleep(Duration::from_millis(1));
@@ -157,104 +158,71 @@ fn groups_of_rays_are_taken_up_where_they_stopped() {
         child.wait().unwrap();
     }
     // A group's state is that of its own rays.
-    let other = run(folder, &args.replace("--error-bars 4", "--error-bars 3"));
-    assert!(other.status.code() == Some(2) && String::from_utf8_lossy(&other.stderr).contains("run.chk.0: run, "));
-    let output = run(folder, &args);
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() && stderr.contains("run.chk holds 15000 of 20000 rays"), "{stderr}");
-    let [whole, parts] = ["whole.oct", "parts.oct"].map(|f| std::fs::read(folder.join(f)).unwrap());
-    assert!(whole == parts, "the resumed field has other bytes");
+    desk.refused(&args.replace("--error-bars 4", "--error-bars 3"), &["run.chk.0: run, "]);
+    let said = desk.said(&args);
+    assert!(said.contains("run.chk holds 15000 of 20000 rays"), "{said}");
+    assert!(desk.bytes("whole.oct") == desk.bytes("parts.oct"), "the resumed field has other bytes");
     assert!((0..4).all(|g| !state(g).exists()), "a finished run removes its checkpoints");
 }
 
 #[cfg(unix)]
 fn assert_stopped(output: &Output) {
     let stderr = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(130), "{stderr}");
-    assert!(stderr.contains("rays; the same command goes on"), "{stderr}");
+    assert!(output.status.code() == Some(130) && stderr.contains("the same command goes on"), "{stderr}");
 }
 
-/// The bytes of a whole run in eight groups. Stopped after the first of them, it is in the midst of its rays.
-#[cfg(unix)]
-fn whole(folder: &Path) -> Vec<u8> {
-    good(folder, &format!("{RUN} --error-bars 8 -o whole.oct"));
-    std::fs::read(folder.join("whole.oct")).unwrap()
-}
-
-/// SIGTERM is what batch systems send before they kill.
+/// Ctrl-C, and SIGTERM, which batch systems send before they kill, some of them twice. After the first of eight groups
+/// the run is in the midst of its rays.
 #[test]
 #[cfg(unix)]
-fn a_run_that_is_told_to_end_saves_its_state() {
-    let folder = folder_with_cameras();
-    let folder = folder.path();
-    let whole = whole(folder);
-    let args = format!("{RUN} --error-bars 8 -o parts.oct --checkpoint run.chk");
-    let mut child = command(folder, &args).spawn().unwrap();
-    wait_for(&folder.join("run.chk.0"), &mut child);
-    // Some batch systems send it twice.
+fn a_run_that_is_told_to_end_saves_its_state_and_the_same_command_goes_on() {
+    let desk = Desk::new(6, 64);
+    let run = format!("{RUN} --error-bars 8");
+    desk.good(&format!("{run} -o whole.oct"));
+    let args = format!("{run} -o parts.oct --checkpoint run.chk");
+    let mut child = spawned(&desk, &args);
+    wait_for(&desk.join("run.chk.0"), &mut child);
     (0..2).for_each(|_| send("-TERM", &child));
     assert_stopped(&child.wait_with_output().unwrap());
-    good(folder, &args);
-    assert!(std::fs::read(folder.join("parts.oct")).unwrap() == whole, "the field has other bytes");
-}
+    desk.good(&args);
+    assert!(desk.bytes("parts.oct") == desk.bytes("whole.oct"), "the field has other bytes");
 
-#[test]
-#[cfg(unix)]
-fn ctrl_c_saves_the_state_and_the_same_command_goes_on() {
-    let folder = folder_with_cameras();
-    let folder = folder.path();
-    let whole = whole(folder);
-    let args = format!("{RUN} --error-bars 8 -o parts.oct --checkpoint run.chk");
-    assert_stopped(&stopped(&folder.join("run.chk.0"), command(folder, &args).spawn().unwrap(), "-INT"));
+    std::fs::remove_file(desk.join("parts.oct")).unwrap();
+    assert_stopped(&stopped(&desk.join("run.chk.0"), spawned(&desk, &args), "-INT"));
     // A dry run looks at no checkpoint; with other settings it is not continued.
-    let state = std::fs::read(folder.join("run.chk.0")).unwrap();
-    good(folder, &format!("{args} --seed 5 --dry-run"));
-    for (other, said) in [("--seed 5", "of another run"), ("--resolution 20", "run, cameras")] {
-        let output = run(folder, &format!("{args} {other}"));
-        let stderr = String::from_utf8(output.stderr).unwrap();
-        assert!(output.status.code() == Some(2) && stderr.contains(said), "{stderr}");
-    }
-    assert!(std::fs::read(folder.join("run.chk.0")).unwrap() == state, "a refused run changes nothing");
-
-    let output = run(folder, &args);
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() && stderr.contains("of 20000 rays; --restart discards them"), "{stderr}");
-    assert!(std::fs::read(folder.join("parts.oct")).unwrap() == whole, "the resumed field has other bytes");
+    let state = desk.bytes("run.chk.0");
+    desk.good(&format!("{args} --seed 5 --dry-run"));
+    desk.refused(&format!("{args} --seed 5"), &["of another run"]);
+    desk.refused(&format!("{args} --resolution 20"), &["run, cameras"]);
+    assert!(desk.said(&args).contains("--restart discards them"));
+    assert!(desk.bytes("parts.oct") == desk.bytes("whole.oct"), "the resumed field has other bytes");
     // A restart takes no notice of the state that is there, and removes it in the end.
-    std::fs::write(folder.join("run.chk.0"), state).unwrap();
-    let other = format!("{RUN} --error-bars 8 --seed 5 -o parts.oct --checkpoint run.chk --restart");
-    good(folder, &other);
-    assert!(!folder.join("run.chk.0").exists());
-    good(folder, &format!("{RUN} --error-bars 8 --seed 5 -o whole.oct"));
-    let [whole, parts] = ["whole.oct", "parts.oct"].map(|f| std::fs::read(folder.join(f)).unwrap());
-    assert!(whole == parts, "the run that started over has other bytes");
+    desk.write("run.chk.0", state);
+    desk.good(&format!("{args} --seed 5 --restart"));
+    assert!(!desk.join("run.chk.0").exists());
+    desk.good(&format!("{run} --seed 5 -o whole.oct"));
+    assert!(desk.bytes("parts.oct") == desk.bytes("whole.oct"), "the run that started over has other bytes");
 }
 
 #[test]
 fn merged_shards_are_the_whole_run() {
-    let folder = folder_with_cameras();
-    let folder = folder.path();
+    let desk = Desk::new(6, 64);
     for (grid, tolerance) in [("octree", "0"), ("octree", "0.01"), ("dense", "0")] {
         let settings = format!("{RUN} --keep-sums --grid {grid} --tolerance {tolerance}");
-        good(folder, &format!("{settings} -o whole.oct"));
-        for shard in 0..3 {
-            good(folder, &format!("{settings} --shard {shard}/3 -o part{shard}.oct"));
-        }
+        desk.good(&format!("{settings} -o whole.oct"));
+        (0..3).for_each(|i| drop(desk.good(&format!("{settings} --shard {i}/3 -o part{i}.oct"))));
         // In any order, to the last bit.
-        good(folder, "merge part0.oct part1.oct part2.oct -o a.oct");
-        good(folder, "merge part2.oct part0.oct part1.oct -o b.oct");
-        let [a, b] = ["a.oct", "b.oct"].map(|f| std::fs::read(folder.join(f)).unwrap());
-        assert!(a == b, "the order of the parts matters");
+        desk.good("merge part0.oct part1.oct part2.oct -o a.oct");
+        desk.good("merge part2.oct part0.oct part1.oct -o b.oct");
+        assert!(desk.bytes("a.oct") == desk.bytes("b.oct"), "the order of the parts matters");
         // And step by step.
-        let output = run(folder, "merge part2.oct part0.oct -o two.oct");
-        let stderr = String::from_utf8(output.stderr).unwrap();
-        let warning = "warning: the run over 20000 rays is not complete: part 1 of 3 (seed 0) missing\n";
-        assert!(output.status.success() && stderr == warning, "{stderr}");
-        let output = run(folder, "merge two.oct part1.oct -o merged.oct --json");
-        assert!(output.status.success() && output.stderr.is_empty(), "nothing is missing");
-        let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let said = desk.said("merge part2.oct part0.oct -o two.oct");
+        assert!(said.starts_with("warning: ") && said.contains("part 1 of 3"), "{said}");
+        let (code, out, said) = desk.run("merge two.oct part1.oct -o merged.oct --json");
+        assert!(code == Some(0) && said.is_empty(), "nothing is missing: {said}");
+        let value: serde_json::Value = serde_json::from_str(&out).unwrap();
         assert_eq!(value["missing_shards"], serde_json::json!([]));
-        let [whole, merged] = ["whole.oct", "merged.oct"].map(|f| UncertaintyField::read(&folder.join(f)).unwrap());
+        let [whole, merged] = ["whole.oct", "merged.oct"].map(|name| desk.field(name));
         assert_eq!((whole.record().rays, whole.record().shard), (merged.record().rays, merged.record().shard));
         assert_eq!(whole.ray_sets(), merged.ray_sets());
         assert_eq!(whole.support(), merged.support());
@@ -266,23 +234,14 @@ fn merged_shards_are_the_whole_run() {
         let difference = compare(&whole, &merged, 50_000, 0).unwrap();
         assert!(difference.in_box.unwrap().max <= 1e-6 && difference.on_surfaces.unwrap().max <= 1e-6);
     }
-    let twice = run(folder, "merge part0.oct part0.oct -o x.oct");
-    let stderr = String::from_utf8(twice.stderr).unwrap();
-    assert!(twice.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
-    let inside = run(folder, "merge two.oct part2.oct -o x.oct");
-    let stderr = String::from_utf8(inside.stderr).unwrap();
-    assert!(inside.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
     // Shard 1 of 3 and shard 1 of 2 of the same seed have batches in common.
-    good(folder, &format!("{RUN} --keep-sums --grid dense --tolerance 0 --shard 1/2 -o half.oct"));
-    let overlapping = run(folder, "merge part1.oct half.oct -o x.oct");
-    let stderr = String::from_utf8(overlapping.stderr).unwrap();
-    assert!(overlapping.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
-    let ball = RUN.replace("courtyard", "ball");
-    good(folder, &format!("{ball} --keep-sums --grid dense --tolerance 0 --seed 8 -o ball.oct"));
-    let stderr = String::from_utf8(run(folder, "merge part0.oct ball.oct -o x.oct").stderr).unwrap();
-    assert!(stderr.contains("model and cameras of ball.oct: expected "), "{stderr}");
-    good(folder, &format!("{RUN} --keep-sums --grid dense --tolerance 0 --seed 9 --lambda 1e-3 -o other.oct"));
-    let unlike = run(folder, "merge part0.oct other.oct -o x.oct");
-    let stderr = String::from_utf8(unlike.stderr).unwrap();
-    assert!(unlike.status.code() == Some(2) && stderr.contains("lambda of other.oct: expected "), "{stderr}");
+    let settings = format!("{RUN} --keep-sums --grid dense --tolerance 0");
+    desk.good(&format!("{settings} --shard 1/2 -o half.oct"));
+    for parts in ["part0.oct part0.oct", "two.oct part2.oct", "part1.oct half.oct"] {
+        desk.refused(&format!("merge {parts} -o x.oct"), &["rays in common"]);
+    }
+    desk.good(&format!("{} --seed 8 -o ball.oct", settings.replace("courtyard", "ball")));
+    desk.refused("merge part0.oct ball.oct -o x.oct", &["model and cameras of ball.oct"]);
+    desk.good(&format!("{settings} --seed 9 --lambda 1e-3 -o other.oct"));
+    desk.refused("merge part0.oct other.oct -o x.oct", &["lambda of other.oct"]);
 }
