@@ -10,7 +10,7 @@ use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::builder::build_bvh2;
 use octobayes::estimate::RaySettings;
-use octobayes::field::{ClosedForm, Intrinsics, RadianceField};
+use octobayes::field::{ClosedForm, Intrinsics, TrainedField};
 use octobayes::geometry::Ray;
 use octobayes::monitor::Silent;
 use octobayes::render::{Marcher, Occupancy};

@@ -7,7 +7,7 @@ use crate::dataset::Views;
 use crate::estimate::Model;
 #[cfg(feature = "train")]
 use crate::field::HashGrid;
-use crate::field::{ClosedForm, Coordinates, NerfMlp, Ppng, RadianceField, VoxelGrid, is_checkpoint};
+use crate::field::{ClosedForm, Coordinates, NerfMlp, Ppng, RadianceField, TrainedField, VoxelGrid, is_checkpoint};
 use crate::splats::{RenderMode, Splats, refuse_checkpoint};
 use crate::{Error, Result};
 
@@ -65,7 +65,7 @@ pub fn is_of_splats(model: &str) -> bool {
 ///
 /// # Errors
 /// If the scene or extension is unknown, or the file cannot be read as what its extension says.
-pub fn open(model: &str) -> Result<Box<dyn RadianceField>> {
+pub fn open(model: &str) -> Result<Box<dyn TrainedField>> {
     open_in(model, None)
 }
 
@@ -73,11 +73,11 @@ pub fn open(model: &str) -> Result<Box<dyn RadianceField>> {
 ///
 /// # Errors
 /// As [`open`]; if coordinates are given for any other kind of model.
-pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn RadianceField>> {
+pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn TrainedField>> {
     if is_of_splats(model) { Err(no_volume(model)) } else { open_volume(model, coordinates) }
 }
 
-fn open_volume(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn RadianceField>> {
+fn open_volume(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn TrainedField>> {
     let path = Path::new(model);
     let extension = if model.starts_with("scene:") { None } else { path.extension().and_then(|e| e.to_str()) };
     if has_coordinates(model) {

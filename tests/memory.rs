@@ -2,7 +2,7 @@
 //! kernel counts. Runs in a process of its own, because it counts all allocations.
 
 use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
-use octobayes::field::{ClosedForm, Intrinsics, RadianceField};
+use octobayes::field::{ClosedForm, Intrinsics, TrainedField};
 use octobayes::uncertainty::{Support, UncertaintyField};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use std::alloc::System;

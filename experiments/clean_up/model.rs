@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use octobayes::Result;
-use octobayes::field::{HashGrid, HashGridConfig, NerfMlp, RadianceField, VoxelGrid};
+use octobayes::field::{HashGrid, HashGridConfig, NerfMlp, TrainedField, VoxelGrid};
 use octobayes::geometry::Domain;
 use octobayes::monitor::Silent;
 use octobayes::train::{Budget, Run, TrainSettings, Trainer};
@@ -28,7 +28,7 @@ pub enum Architecture {
 
 impl Architecture {
     /// The model of this architecture.
-    pub fn model(self, data: &Dataset) -> Result<Box<dyn RadianceField>> {
+    pub fn model(self, data: &Dataset) -> Result<Box<dyn TrainedField>> {
         Ok(match self {
             Self::HashGrid => Box::new(hash_grid(data)?),
             // From above: what a voxel shows does not depend on the direction.

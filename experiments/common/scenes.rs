@@ -6,7 +6,7 @@ use glam::Vec3;
 use octobayes::Result;
 use octobayes::dataset::Views;
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-use octobayes::field::{ClosedForm, Coordinates, Intrinsics, RadianceField};
+use octobayes::field::{ClosedForm, Coordinates, Intrinsics, TrainedField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::open::open_in;
@@ -20,7 +20,7 @@ use super::train::hash_grid;
 pub struct Scene {
     /// Name in tables.
     pub name: &'static str,
-    pub field: Box<dyn RadianceField>,
+    pub field: Box<dyn TrainedField>,
     pub cameras: Vec<Camera>,
     pub settings: RaySettings,
     pub grid: GridSettings,

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::DVec3;
 use octobayes::estimate::{Estimation, RaySettings};
-use octobayes::field::RadianceField;
+use octobayes::field::TrainedField;
 use octobayes::metrics::{Calibration, ErrorKind, PROBABILITIES, quantile, sparsification};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
@@ -144,7 +144,7 @@ struct Depths {
 impl Depths {
     fn of(
         data: &Data,
-        model: &dyn RadianceField,
+        model: &dyn TrainedField,
         field: &UncertaintyField,
         posteriors: &[&dyn DepthVariance; NAMES.len()],
     ) -> Result<Self> {

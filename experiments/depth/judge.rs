@@ -6,7 +6,7 @@ use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::evaluate::{
     DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, compare_images,
 };
-use octobayes::field::RadianceField;
+use octobayes::field::TrainedField;
 use octobayes::geometry::Domain;
 use octobayes::metrics::{Calibration, Detection, ErrorDensity, ErrorKind, PROBABILITIES, sparsification, spearman};
 use octobayes::monitor::Silent;
@@ -122,7 +122,7 @@ pub fn measure(scene: &Scene, seed: u64, ensemble: u64) -> Result<Row> {
 /// first.
 pub fn uncertainties(
     data: &Data,
-    field: &dyn RadianceField,
+    field: &dyn TrainedField,
     psnr: f64,
     rays: RaySettings,
 ) -> Result<(Vec<UncertaintyField>, f64)> {
@@ -176,7 +176,7 @@ fn averages() -> Vec<RayAverage> {
 /// known.
 pub fn judge(
     data: &Data,
-    field: &dyn RadianceField,
+    field: &dyn TrainedField,
     parameters: Option<&ParameterPosteriors>,
     others: &[Model],
     fields: Vec<UncertaintyField>,

@@ -7,7 +7,7 @@ use octobayes::estimate::{Estimation, RaySettings};
 use octobayes::evaluate::{
     CONFIRMING_VIEWS, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, compare_images,
 };
-use octobayes::field::RadianceField;
+use octobayes::field::TrainedField;
 use octobayes::geometry::Domain;
 use octobayes::metrics::{Calibration, PROBABILITIES};
 use octobayes::monitor::Silent;
@@ -81,7 +81,7 @@ struct Pixels {
 }
 
 /// Judges a model of that PSNR on its training images.
-pub fn judge(data: &Data, field: &dyn RadianceField, psnr: f64, rays: RaySettings) -> Result<Row> {
+pub fn judge(data: &Data, field: &dyn TrainedField, psnr: f64, rays: RaySettings) -> Result<Row> {
     let domain = Domain::Box(field.bounds());
     let of_data = DataScale::from_cameras(&data.cameras, DataScale::noise_of(psnr), &domain)?;
     let run = Estimation::new(&field, &data.cameras).rays(rays).grid(grid().scale(Scale::Data(of_data))).run()?;

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use octobayes::estimate::RaySettings;
 use octobayes::evaluate::TrueView;
-use octobayes::field::{RadianceField, VoxelGrid};
+use octobayes::field::{TrainedField, VoxelGrid};
 use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
 use octobayes::render::{Tracer, render_view};
@@ -29,7 +29,7 @@ const VOXELS: usize = 256;
 
 pub const NAMES: [&str; 3] = ["lego, Plenoptic PNG", "lego, voxels baked from it", "lego, MLP"];
 
-fn model(name: &str) -> Result<Box<dyn RadianceField>> {
+fn model(name: &str) -> Result<Box<dyn TrainedField>> {
     let data = Program::data()?;
     let [png, voxels, mlp] = NAMES;
     Ok(match name {

@@ -4,7 +4,7 @@
 use glam::{DVec3, Vec3};
 use octobayes::Result;
 use octobayes::estimate::{FieldBuilder, FieldSource, GridSettings, RaySettings};
-use octobayes::field::{ClosedForm, Radiance, RadianceField, RadianceJet, VoxelGrid};
+use octobayes::field::{ClosedForm, Radiance, RadianceField, RadianceJet, TrainedField, VoxelGrid};
 use octobayes::geometry::Domain;
 use octobayes::monitor::Silent;
 use octobayes::octree::VertexId;
@@ -65,7 +65,7 @@ struct Study {
 
 /// Fields whose derivatives are known.
 pub fn waves() -> Vec<Scene> {
-    let scene = |name, field: Box<dyn RadianceField>| Scene {
+    let scene = |name, field: Box<dyn TrainedField>| Scene {
         name,
         field,
         cameras: ClosedForm::half_circle(10, [100, 100]),
@@ -224,7 +224,7 @@ fn samples(scene: &Scene, seed: u64, grid: &GridSettings) -> Result<Vec<Sample>>
 }
 
 /// ∇σ and ∂c/∂x, ∂c/∂y, ∂c/∂z of a sample by each scheme over a step h.
-fn differences(field: &dyn RadianceField, sample: &Sample, h: DVec3) -> [[DVec3; 4]; 3] {
+fn differences(field: &dyn TrainedField, sample: &Sample, h: DVec3) -> [[DVec3; 4]; 3] {
     let bounds = field.bounds();
     let mut places = vec![sample.x];
     for axis in 0..3 {

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use half::f16;
-use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet};
+use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet, TrainedField};
 use octobayes::geometry::Aabb;
 
 /// What is done to the waves.
@@ -74,7 +74,9 @@ impl RadianceField for Waves {
     fn memory(&self) -> usize {
         0
     }
+}
 
+impl TrainedField for Waves {
     fn describe(&self) -> String {
         format!("{:?} waves", self.0)
     }

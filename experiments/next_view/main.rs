@@ -14,7 +14,7 @@ use std::cell::OnceCell;
 use glam::{DVec3, Vec3};
 use octobayes::Result;
 use octobayes::estimate::RaySettings;
-use octobayes::field::{HashGrid, RadianceField};
+use octobayes::field::{HashGrid, TrainedField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::metrics::{psnr, ssim};
 use octobayes::monitor::Silent;

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use octobayes::Result;
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-use octobayes::field::{HashGrid, RadianceField};
+use octobayes::field::{HashGrid, TrainedField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::next_view::{Gain, NextView, Settings, log_det};

@@ -7,7 +7,7 @@ use glam::Vec3;
 use ndarray::Array2;
 use octobayes::Result;
 use octobayes::estimate::{Estimation, FieldBuilder, GridKind};
-use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet};
+use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet, TrainedField};
 use octobayes::geometry::{Aabb, Domain, Ray};
 use octobayes::metrics::median;
 use octobayes::monitor::Silent;
@@ -26,7 +26,7 @@ const KINDS: [&str; 4] = ["σ", "σ, c", "σ, ∇σ", "σ, c, ∇σ, ∇c"];
 
 /// A field that counts its evaluations and the time that all threads spend in them.
 struct Counted<'a> {
-    field: &'a dyn RadianceField,
+    field: &'a dyn TrainedField,
     points: [AtomicU64; 4],
     nanoseconds: AtomicU64,
 }
@@ -72,7 +72,9 @@ impl RadianceField for Counted<'_> {
     fn memory(&self) -> usize {
         self.field.memory()
     }
+}
 
+impl TrainedField for Counted<'_> {
     fn describe(&self) -> String {
         self.field.describe()
     }

@@ -132,7 +132,7 @@ impl Model {
         d: PyReadonlyArray2<'py, f32>,
     ) -> PyResult<(Array1<'py>, Array2<'py>, Array2<'py>, Array2<'py>)> {
         let field = self.0.field().differentiable().ok_or_else(|| {
-            let found = format!("one that does not: {}", self.0.field().describe());
+            let found = format!("one that does not: {}", self.0.opened.model.describe());
             Error::setting("derivatives", "a model that differentiates itself", found)
         });
         let (field, x, d) = (field.or_raise()?, triples(&x)?, triples(&d)?);
@@ -165,7 +165,7 @@ impl Model {
         resolution: Option<[u32; 2]>,
     ) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         let intrinsics = Intrinsics { fov_x: fov.map(f64::to_radians), resolution };
-        let cameras = self.0.field().cameras(&intrinsics).or_raise()?;
+        let cameras = self.0.opened.model.cameras(&intrinsics).or_raise()?;
         cameras
             .map(|all| PyArray1::from_vec(py, numbers(&all)).reshape([all.len(), crate::options::NUMBERS]))
             .transpose()
@@ -193,7 +193,7 @@ impl Model {
     /// Where in a pixel the training rays went.
     #[getter]
     fn pixel_offset(&self) -> f64 {
-        self.0.field().pixel_offset()
+        self.0.opened.model.pixel_offset()
     }
 
     /// The name or file.
@@ -211,6 +211,6 @@ impl Model {
     /// One line: architecture and size.
     #[getter]
     fn description(&self) -> String {
-        self.0.field().describe()
+        self.0.opened.model.describe()
     }
 }

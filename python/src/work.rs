@@ -15,7 +15,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArrayDyn};
-use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet};
+use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet, TrainedField};
 use octobayes::geometry::Aabb;
 use octobayes::glam::Vec3;
 use octobayes::monitor::Monitor;
@@ -364,12 +364,14 @@ impl RadianceField for PythonField<'_> {
         self.traits.step
     }
 
-    fn pixel_offset(&self) -> f64 {
-        self.traits.pixel_offset
-    }
-
     fn batch(&self) -> usize {
         self.traits.batch
+    }
+}
+
+impl TrainedField for PythonField<'_> {
+    fn pixel_offset(&self) -> f64 {
+        self.traits.pixel_offset
     }
 
     fn describe(&self) -> String {

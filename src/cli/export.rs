@@ -278,7 +278,7 @@ impl Args {
         }
         let views = self.cameras.read(Some(model), &opened.name)?;
         CommandFiles::default().images(&views).output("--output", &self.output).check()?;
-        let found = self.surfaces(settings, shown, &views, bars)?;
+        let found = self.surfaces(settings, model, shown, &views, bars)?;
         shown.check()?;
         if kind == Kind::Report {
             let names: Vec<String> = views.frames.into_iter().map(|frame| frame.name).collect();
@@ -325,8 +325,15 @@ impl Args {
     }
 
     /// The surfaces that the cameras see.
-    fn surfaces(&self, settings: RaySettings, shown: &dyn Model, views: &Views, bars: &Bars) -> Result<Surfaces> {
-        let offset = settings.offset_for(shown);
+    fn surfaces(
+        &self,
+        settings: RaySettings,
+        whole: &dyn Model,
+        shown: &dyn Model,
+        views: &Views,
+        bars: &Bars,
+    ) -> Result<Surfaces> {
+        let offset = settings.offset_for(whole);
         let renderer = shown.for_images(&settings, None, bars)?;
         let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
         surfaces(&*renderer, &cameras, offset, self.pixels, bars)

@@ -13,7 +13,6 @@ use super::report;
 use super::streams::tell;
 use crate::dataset::{Frame, FrameSplit, Part, Selection};
 use crate::export::{SeenSplats, surfaces};
-use crate::field::RadianceField;
 use crate::geometry::Camera;
 use crate::render::VolumeRenderer;
 use crate::session::{OpenedModel, image_settings};
@@ -97,7 +96,7 @@ impl Args {
         let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
         let said = match opened.model.splats() {
             Some(splats) => self.of_splats(splats, &opened.name, &field, bars)?,
-            None => self.of_volume(opened.volume()?, &opened.name, &field, bars)?,
+            None => self.of_volume(&opened, &field, bars)?,
         };
         say!("{}: {said}", self.output.display())
     }
@@ -112,17 +111,12 @@ impl Args {
     }
 
     /// Writes the page of a volume, and describes it.
-    fn of_volume(
-        &self,
-        model: &dyn RadianceField,
-        name: &str,
-        field: &UncertaintyField,
-        bars: &Bars,
-    ) -> Result<String> {
+    fn of_volume(&self, opened: &OpenedModel, field: &UncertaintyField, bars: &Bars) -> Result<String> {
         let settings = image_settings(field);
-        let views = self.cameras.read(Some(&model), name)?;
+        let model = opened.volume()?;
+        let views = self.cameras.read(Some(&*opened.model), &opened.name)?;
         self.files().images(&views).check()?;
-        let offset = settings.offset_for(&model);
+        let offset = settings.offset_for(&*opened.model);
         let volume = VolumeRenderer { tracer: settings.tracer(model, 0.0, bars)?, differentiation: None };
         let tracer = &volume.tracer;
         let surface: Vec<Vec3> = if field.surface().is_empty() {
@@ -138,7 +132,7 @@ impl Args {
             background: tracer.background,
             surface: &surface,
             range: bar_of(field, self.range)?,
-            title: &title(name),
+            title: &title(&opened.name),
         };
         let view = VolumeView { model, tracer, page };
         let (cells, budget) = self.cells.map_or((MAX_DEFAULT_CELLS, MAX_DEFAULT_BYTES), |cells| (cells, usize::MAX));

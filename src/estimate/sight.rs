@@ -100,15 +100,20 @@ impl CoverageCheck {
             }
         };
         let looked = framing::views(&few, rays, stream.pixel_offset);
-        let points: Vec<_> = looked.iter().map(|view| (view.camera, view.points.clone())).collect();
-        let samples = source.weighted(&points, monitor)?;
-        let mut first = 0;
-        let of_view = |view: &View| {
-            let rays = first..first + view.points.len();
-            first = rays.end;
-            seen(view, rays, &samples, source, domain)
-        };
-        let seen: Vec<Seen> = looked.iter().map(of_view).collect();
+        // A field that wants many points at once sees all views as one; of others, no more are held than are traced.
+        let is_batched = source.marched().is_some_and(|volume| volume.tracer.field.batch() > 0);
+        let together = if is_batched { looked.len().max(1) } else { rayon::current_num_threads() };
+        let mut seen: Vec<Seen> = Vec::new();
+        for views in looked.chunks(together) {
+            let points: Vec<_> = views.iter().map(|view| (view.camera, view.points.clone())).collect();
+            let samples = source.weighted(&points, monitor)?;
+            let mut first = 0;
+            seen.extend(views.iter().map(|view| {
+                let rays = first..first + view.points.len();
+                first = rays.end;
+                seen_by(view, rays, &samples, source, domain)
+            }));
+        }
         let bounds = source.main_box();
         let mean = |of: &dyn Fn(&Seen) -> f64| seen.iter().map(of).sum::<f64>() / seen.len().max(1) as f64;
         Ok(Self {
@@ -193,7 +198,7 @@ impl CoverageCheck {
 }
 
 /// What the rays of a view see. A camera stands in matter only if rays are marched: one among splats does not.
-fn seen(view: &View, rays: Range<usize>, samples: &WeightedSamples, source: &dyn Renderer, domain: &Domain) -> Seen {
+fn seen_by(view: &View, rays: Range<usize>, samples: &WeightedSamples, source: &dyn Renderer, domain: &Domain) -> Seen {
     let volume = source.marched();
     let within_near = source.march_step().map(|step| INSIDE_MATTER_SAMPLES * step);
     let (mut matter, mut within, mut near, mut dropped) = (0_usize, 0_usize, 0_usize, 0_u64);
@@ -225,7 +230,7 @@ fn seen(view: &View, rays: Range<usize>, samples: &WeightedSamples, source: &dyn
 mod tests {
     use super::*;
     use crate::estimate::{GridSettings, RaySettings};
-    use crate::field::{ClosedForm, Radiance, RadianceField, VoxelGrid};
+    use crate::field::{ClosedForm, Radiance, RadianceField, TrainedField, VoxelGrid};
     use crate::geometry::Aabb;
     use crate::monitor::Silent;
     use glam::{DMat3, DVec3, Vec3};
@@ -234,7 +239,7 @@ mod tests {
         sight_of(&ClosedForm::courtyard(), cameras, domain)
     }
 
-    fn sight_of(field: &dyn RadianceField, cameras: &[Camera], domain: Option<Domain>) -> CoverageCheck {
+    fn sight_of(field: &dyn TrainedField, cameras: &[Camera], domain: Option<Domain>) -> CoverageCheck {
         let domain = domain.unwrap_or(Domain::Box(field.bounds()));
         let grid = GridSettings { level: 4, ..GridSettings::default() };
         let lattice = grid.lattice(domain).unwrap();
@@ -337,14 +342,18 @@ mod tests {
         fn bounds(&self) -> Aabb {
             self.0.bounds()
         }
+
         fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
             self.0.evaluate(positions, directions, out);
             out.iter_mut().for_each(|out| out.density = 1.0 - (-out.density).exp());
         }
+
         fn suggested_step(&self) -> f64 {
             self.0.suggested_step()
         }
     }
+
+    impl TrainedField for Opacity {}
 
     #[test]
     fn opacity_in_place_of_density_is_named() {

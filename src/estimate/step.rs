@@ -118,7 +118,7 @@ impl StepCheck {
 mod tests {
     use super::*;
     use crate::estimate::{Estimation, GridSettings, RaySettings};
-    use crate::field::{ClosedForm, Differentiable, Radiance, RadianceField, RadianceJet};
+    use crate::field::{ClosedForm, Differentiable, Radiance, RadianceField, RadianceJet, TrainedField};
     use crate::geometry::{Aabb, Domain};
     use crate::monitor::Silent;
     use crate::render::{GradientMethod, LONGEST_STEP};
@@ -144,20 +144,27 @@ mod tests {
         fn bounds(&self) -> Aabb {
             Aabb::centered_cube(1.0)
         }
+
         fn evaluate(&self, positions: &[Vec3], _: &[Vec3], out: &mut [Radiance]) {
             for (x, out) in positions.iter().zip(out) {
                 *out = Radiance { density: jet(*x).0, color: Vec3::new(0.8, 0.4, 0.2) };
             }
         }
+
         fn differentiable(&self) -> Option<&dyn Differentiable> {
             Some(self)
         }
+
         fn suggested_step(&self) -> f64 {
             0.05
         }
+
         fn memory(&self) -> usize {
             0
         }
+    }
+
+    impl TrainedField for Waves {
         fn describe(&self) -> String {
             "waves".into()
         }
@@ -180,15 +187,21 @@ mod tests {
         fn bounds(&self) -> Aabb {
             Waves.bounds()
         }
+
         fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
             Waves.evaluate(positions, directions, out);
         }
+
         fn suggested_step(&self) -> f64 {
             Waves.suggested_step()
         }
+
         fn memory(&self) -> usize {
             0
         }
+    }
+
+    impl TrainedField for BlackBox {
         fn describe(&self) -> String {
             "waves in a box".into()
         }
@@ -198,7 +211,7 @@ mod tests {
         GridSettings { level: 4, ..GridSettings::default() }
     }
 
-    fn check(field: &dyn RadianceField, seed: u64) -> StepCheck {
+    fn check(field: &dyn TrainedField, seed: u64) -> StepCheck {
         let cameras = ClosedForm::half_circle(6, [64, 64]);
         let lattice = grid().lattice(Domain::Box(field.bounds())).unwrap();
         let rays = RaySettings { occupancy: 32, ..RaySettings::default() };
@@ -266,7 +279,7 @@ mod tests {
 
     #[test]
     fn other_points_say_the_same() {
-        for field in [&Waves as &dyn RadianceField, &BlackBox, &ClosedForm::courtyard()] {
+        for field in [&Waves as &dyn TrainedField, &BlackBox, &ClosedForm::courtyard()] {
             let checks: Vec<StepCheck> = (0..8).map(|seed| check(field, seed)).collect();
             let bad = checks.iter().filter(|check| check.is_bad).count();
             assert!(bad == 0 || bad == 8, "{}: {bad} of 8 warn", field.describe());

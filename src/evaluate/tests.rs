@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 use super::*;
 use crate::dataset::DepthReadings;
 use crate::estimate::{Estimation, GridSettings, RaySettings};
-use crate::field::{ClosedForm, Radiance, RadianceField};
+use crate::field::{ClosedForm, Radiance, RadianceField, TrainedField};
 use crate::geometry::{Aabb, Camera, Domain};
 use crate::metrics::{Calibration, ErrorKind, ensemble_variance};
 use crate::monitor::Silent;
@@ -34,7 +34,9 @@ impl RadianceField for Nothing {
     fn memory(&self) -> usize {
         0
     }
+}
 
+impl TrainedField for Nothing {
     fn describe(&self) -> String {
         "nothing".into()
     }

@@ -19,7 +19,7 @@ use ndarray::{Array1, Array2, Axis, linalg::general_mat_mul, s};
 use self::file::File;
 pub use self::file::is_checkpoint;
 use super::elementary::sin_cos;
-use super::{Differentiable, Radiance, RadianceField, RadianceJet};
+use super::{Differentiable, Radiance, RadianceField, RadianceJet, TrainedField};
 use crate::Result;
 use crate::geometry::{Aabb, NGP_SCALE};
 
@@ -263,14 +263,16 @@ impl RadianceField for NerfMlp {
         2.0 * HALF_EDGE / 512.0
     }
 
-    fn pixel_offset(&self) -> f64 {
-        0.0
-    }
-
     fn memory(&self) -> usize {
         let layers =
             self.layers_xyz.iter().chain([&self.layer1, &self.fc_alpha, &self.fc_feat, &self.layers_dir, &self.fc_rgb]);
         layers.map(|l| 4 * (l.weight.len() + l.bias.len())).sum()
+    }
+}
+
+impl TrainedField for NerfMlp {
+    fn pixel_offset(&self) -> f64 {
+        0.0
     }
 
     fn describe(&self) -> String {

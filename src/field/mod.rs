@@ -95,10 +95,10 @@ pub struct Intrinsics {
 ///
 /// The value at a position and direction must not depend on the rest of the batch.
 ///
-/// Three methods are enough for a model of your own:
+/// Three methods are enough for a model of your own. What is known of its training belongs to [`TrainedField`]:
 /// ```
 /// use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-/// use octobayes::field::{ClosedForm, Radiance, RadianceField};
+/// use octobayes::field::{ClosedForm, Radiance, RadianceField, TrainedField};
 /// use octobayes::geometry::Aabb;
 /// use octobayes::glam::Vec3;
 ///
@@ -119,6 +119,8 @@ pub struct Intrinsics {
 ///         1.0 / 64.0
 ///     }
 /// }
+///
+/// impl TrainedField for Ball {}
 ///
 /// let cameras = ClosedForm::half_circle(4, [32, 32]);
 /// let rays = RaySettings::default().rays(4_000).occupancy(32);
@@ -159,6 +161,26 @@ pub trait RadianceField: Send + Sync {
         None
     }
 
+    /// Distance between samples along a ray that resolves this field, scene units.
+    fn suggested_step(&self) -> f64;
+
+    /// Smallest efficient batch, in points; 0 if a few hundred are enough.
+    ///
+    /// A field with a high cost per call, such as one in another language or on a GPU, gets nine of ten points in
+    /// batches of at least this size: thousands of rays then advance together
+    /// ([`RayStream::run`](crate::rays::RayStream::run)). Results do not depend on it.
+    fn batch(&self) -> usize {
+        0
+    }
+
+    /// Size of parameters and tables, bytes; 0 if unknown.
+    fn memory(&self) -> usize {
+        0
+    }
+}
+
+/// A field, and what is known of its training. Nothing needs to be: `impl TrainedField for Ball {}` will do.
+pub trait TrainedField: RadianceField {
     /// The cameras that come with the field: those it was trained on, or those meant for a built-in scene.
     /// `None` if it has none.
     ///
@@ -184,26 +206,9 @@ pub trait RadianceField: Send + Sync {
         Domain::Box(self.bounds())
     }
 
-    /// Distance between samples along a ray that resolves this field, scene units.
-    fn suggested_step(&self) -> f64;
-
     /// Where in a pixel the training rays went: ½ for the centre, 0 for models trained on the upper left corner.
     fn pixel_offset(&self) -> f64 {
         0.5
-    }
-
-    /// Smallest efficient batch, in points; 0 if a few hundred are enough.
-    ///
-    /// A field with a high cost per call, such as one in another language or on a GPU, gets nine of ten points in
-    /// batches of at least this size: thousands of rays then advance together
-    /// ([`RayStream::run`](crate::rays::RayStream::run)). Results do not depend on it.
-    fn batch(&self) -> usize {
-        0
-    }
-
-    /// Size of parameters and tables, bytes; 0 if unknown.
-    fn memory(&self) -> usize {
-        0
     }
 
     /// Whether all that was returned since the last call is true: a field may read files meanwhile.
@@ -239,6 +244,18 @@ macro_rules! forward {
             fn density_bound(&self, min: Vec3, max: Vec3) -> Option<f32> {
                 (**self).density_bound(min, max)
             }
+            fn suggested_step(&self) -> f64 {
+                (**self).suggested_step()
+            }
+            fn batch(&self) -> usize {
+                (**self).batch()
+            }
+            fn memory(&self) -> usize {
+                (**self).memory()
+            }
+        }
+
+        impl<F: TrainedField + ?Sized> TrainedField for $pointer {
             fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
                 (**self).cameras(intrinsics)
             }
@@ -251,17 +268,8 @@ macro_rules! forward {
             fn natural_domain(&self) -> Domain {
                 (**self).natural_domain()
             }
-            fn suggested_step(&self) -> f64 {
-                (**self).suggested_step()
-            }
             fn pixel_offset(&self) -> f64 {
                 (**self).pixel_offset()
-            }
-            fn batch(&self) -> usize {
-                (**self).batch()
-            }
-            fn memory(&self) -> usize {
-                (**self).memory()
             }
             fn check(&self) -> Result<()> {
                 (**self).check()

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
-use super::{Differentiable, Radiance, RadianceField, RadianceJet};
+use super::{Differentiable, Radiance, RadianceField, RadianceJet, TrainedField};
 use crate::geometry::Aabb;
 use crate::io::Real;
 use crate::io::npz::{NpzReader, NpzWriter};
@@ -18,7 +18,7 @@ use crate::{Error, Result};
 /// Density and colour at the grid points of a box, trilinear in between.
 ///
 /// ```
-/// use octobayes::field::{ClosedForm, Radiance, RadianceField, VoxelGrid};
+/// use octobayes::field::{ClosedForm, Radiance, RadianceField, TrainedField, VoxelGrid};
 /// use octobayes::glam::Vec3;
 ///
 /// // Any field can be baked, as seen from one direction.
@@ -217,7 +217,9 @@ impl RadianceField for VoxelGrid {
     fn memory(&self) -> usize {
         size_of_val(self.values.as_slice())
     }
+}
 
+impl TrainedField for VoxelGrid {
     fn describe(&self) -> String {
         let [x, y, z] = self.shape;
         format!("voxel grid of {x} x {y} x {z} points")

@@ -35,11 +35,7 @@ impl GradientMethod {
             (Self::FiniteDifference | Self::ForwardDifference, _) | (Self::Auto, None) => Ok(None),
             (Self::Analytic, None) => {
                 let expected = "finite-difference, or a field that differentiates itself";
-                Err(Error::setting(
-                    "gradient",
-                    expected,
-                    format!("analytic, of a field that does not: {}", field.describe()),
-                ))
+                Err(Error::setting("gradient", expected, "analytic, of a field that does not"))
             }
             (_, own) => Ok(own),
         }

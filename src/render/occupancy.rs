@@ -232,10 +232,6 @@ mod tests {
         fn memory(&self) -> usize {
             self.0.memory()
         }
-
-        fn describe(&self) -> String {
-            self.0.describe()
-        }
     }
 
     #[test]

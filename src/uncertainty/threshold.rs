@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use glam::Vec3;
 
 use super::{Answer, Answers, Observability};
-use crate::field::{Radiance, RadianceField};
+use crate::field::{Radiance, RadianceField, TrainedField};
 use crate::geometry::Aabb;
 use crate::splats::Splats;
 use crate::{Error, Result};
@@ -131,10 +131,6 @@ impl RadianceField for ThresholdedField<'_> {
         self.field.suggested_step()
     }
 
-    fn pixel_offset(&self) -> f64 {
-        self.field.pixel_offset()
-    }
-
     fn batch(&self) -> usize {
         self.field.batch().max(self.uncertainty.points_at_once())
     }
@@ -142,13 +138,15 @@ impl RadianceField for ThresholdedField<'_> {
     fn memory(&self) -> usize {
         self.field.memory()
     }
+}
 
+impl TrainedField for ThresholdedField<'_> {
     /// The first error of [`Answers::estimates`], once: without an answer from the uncertainty, there was no density.
     fn check(&self) -> Result<()> {
         self.failure().take().map_or(Ok(()), Err)
     }
 
     fn describe(&self) -> String {
-        format!("{}, cleaned at log10 U <= {}", self.field.describe(), self.threshold)
+        format!("a field, cleaned at log10 U <= {}", self.threshold)
     }
 }

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 use octobayes::Result;
 use octobayes::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
-use octobayes::field::RadianceField;
+use octobayes::field::{RadianceField, TrainedField};
 use octobayes::geometry::Camera;
 use octobayes::posterior::{Covariance, VertexSums};
 use octobayes::rays::{PixelSample, RunProgress};
@@ -48,7 +48,7 @@ impl Case<'_> {
     }
 
     /// Runs the pipeline on a field with the same values.
-    pub fn run_through(&self, field: &dyn RadianceField, (rays, grid): (RaySettings, GridSettings)) -> Result<Run> {
+    pub fn run_through(&self, field: &dyn TrainedField, (rays, grid): (RaySettings, GridSettings)) -> Result<Run> {
         let run = Estimation::new(&field, self.cameras).rays(rays).grid(grid).prepare()?;
         let picks = run.stream().pixels.picks(0, rays.rays);
         let h = run.stream().source.marched().unwrap().difference_step();

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
-use octobayes::field::{ClosedForm, Radiance, RadianceField};
+use octobayes::field::{ClosedForm, Radiance, RadianceField, TrainedField};
 use octobayes::geometry::{Aabb, Camera, Lattice};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Information};
@@ -16,7 +16,7 @@ use rand::{RngExt, SeedableRng};
 
 /// A field whose matter is moved along an axis by a hat function around a lattice point.
 struct Deformed<'a> {
-    field: &'a dyn RadianceField,
+    field: &'a dyn TrainedField,
     lattice: Lattice,
     vertex: [u32; 3],
     by: DVec3,
@@ -45,7 +45,9 @@ impl RadianceField for Deformed<'_> {
     }
 }
 
-fn tracer(field: &dyn RadianceField, step: f64) -> Tracer<'_> {
+impl TrainedField for Deformed<'_> {}
+
+fn tracer(field: &dyn TrainedField, step: f64) -> Tracer<'_> {
     let marcher = Marcher { step, bounds: field.bounds(), occupancy: None, cutoff: 0.0 };
     Tracer { field, marcher, background: Vec3::ONE }
 }
@@ -180,6 +182,8 @@ impl RadianceField for Wall {
     }
 }
 
+impl TrainedField for Wall {}
+
 /// By hand: a wall far thinner than a cell, at the fraction a between two planes of vertices; a ray through the middle
 /// of the cell's other two edges moves with the eight corners in proportion to (1 − a) / 4 and a / 4, four of each. If
 /// nothing is known, all have the prior's variance τ², and Var(d) = τ² ((1 − a)² + a²) / 4.
@@ -273,7 +277,7 @@ fn cholesky([xx, xy, xz, yy, yz, zz]: Information) -> glam::DMat3 {
 
 /// A field whose matter is moved by displacements of all lattice points.
 struct Moved<'a> {
-    field: &'a dyn RadianceField,
+    field: &'a dyn TrainedField,
     lattice: Lattice,
     /// x slowest.
     moves: Vec<DVec3>,
@@ -304,6 +308,8 @@ impl RadianceField for Moved<'_> {
         self.field.evaluate(&positions, directions, out);
     }
 }
+
+impl TrainedField for Moved<'_> {}
 
 #[test]
 fn the_papers_scale_has_no_errors_of_depth() {

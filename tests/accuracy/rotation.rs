@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-use octobayes::field::{ClosedForm, Radiance, RadianceField};
+use octobayes::field::{ClosedForm, Radiance, RadianceField, TrainedField};
 use octobayes::geometry::{Aabb, Camera};
 use octobayes::posterior::Covariance;
 use octobayes::uncertainty::UncertaintyField;
@@ -38,7 +38,9 @@ impl RadianceField for Moved {
     fn memory(&self) -> usize {
         self.scene.memory()
     }
+}
 
+impl TrainedField for Moved {
     fn describe(&self) -> String {
         "moved".into()
     }

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3, Vec3};
 use octobayes::field::closed_form::{Primitive, Shape, Texture};
-use octobayes::field::{Radiance, RadianceField};
+use octobayes::field::{Radiance, RadianceField, TrainedField};
 use octobayes::geometry::{Aabb, Camera, Domain, Ray};
 use octobayes::posterior::{Covariance, DensePosterior, Posterior, VertexSums, trace};
 use octobayes::render::{Differences, Differentiation, JacobianBuffers, Marcher, RayBatch, Stencil, Tracer};
@@ -20,21 +20,27 @@ fn information(run: &Run) -> f64 {
 }
 
 /// A field that does not reveal its density bounds, as most models do not.
-struct BlackBox<'a>(&'a dyn RadianceField);
+struct BlackBox<'a>(&'a dyn TrainedField);
 
 impl RadianceField for BlackBox<'_> {
     fn bounds(&self) -> Aabb {
         self.0.bounds()
     }
+
     fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
         self.0.evaluate(positions, directions, out);
     }
+
     fn suggested_step(&self) -> f64 {
         self.0.suggested_step()
     }
+
     fn memory(&self) -> usize {
         0
     }
+}
+
+impl TrainedField for BlackBox<'_> {
     fn describe(&self) -> String {
         "black box".into()
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use glam::{DVec3, Vec3};
 use octobayes::dataset::Views;
 use octobayes::estimate::{Estimation, FieldBuilder, FieldSource, GridKind, GridSettings, RaySettings};
-use octobayes::field::{ClosedForm, Coordinates, Intrinsics, NerfMlp, Ppng, RadianceField};
+use octobayes::field::{ClosedForm, Coordinates, Intrinsics, NerfMlp, Ppng, RadianceField, TrainedField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, trace};
@@ -120,7 +120,7 @@ fn whole_runs_joined_stay_within_the_tolerance() {
 }
 
 /// A model, and cameras that see it.
-type Model = (String, Box<dyn RadianceField>, Vec<Camera>);
+type Model = (String, Box<dyn TrainedField>, Vec<Camera>);
 
 /// Every trained model in the data folder, one after the other.
 fn models() -> impl Iterator<Item = Model> {
@@ -137,7 +137,7 @@ fn models() -> impl Iterator<Item = Model> {
     let mlps = ["lego", "chair", "drums", "materials", "ship"].into_iter().map(move |name| {
         let views = Views::read(&mlp.join(format!("cameras/{name}_train.json")), Some([400, 400])).unwrap();
         let model = NerfMlp::read(&mlp.join(format!("{name}.safetensors"))).unwrap();
-        (format!("MLP {name}"), Box::new(model) as Box<dyn RadianceField>, views.cameras())
+        (format!("MLP {name}"), Box::new(model) as Box<dyn TrainedField>, views.cameras())
     });
     let sets = names(root.join("ppng-pretrained")).into_iter().flat_map(names);
     let files = sets.flat_map(names).filter(|path| path.extension().is_some_and(|e| e == "ppng"));
@@ -146,7 +146,7 @@ fn models() -> impl Iterator<Item = Model> {
         let intrinsics = Intrinsics { fov_x: Some(1.0), resolution: Some([300, 200]) };
         let cameras = model.cameras(&intrinsics).unwrap().unwrap();
         let name = format!("{} {}", stem(path.parent().unwrap()), stem(&path));
-        (name, Box::new(model) as Box<dyn RadianceField>, cameras)
+        (name, Box::new(model) as Box<dyn TrainedField>, cameras)
     });
     mlps.chain(ppngs)
 }

@@ -5,7 +5,7 @@
 
 use octobayes::Error;
 use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
-use octobayes::field::RadianceField;
+use octobayes::field::TrainedField;
 use octobayes::uncertainty::compare as compare_fields;
 
 use crate::compare::{Case, error, nothing_left_out};

@@ -7,7 +7,7 @@ use std::process::Stdio;
 use crate::interrupt::stopped;
 use crate::program::{Desk, OCTAHEDRON};
 use octobayes::dataset::Views;
-use octobayes::field::{HashGrid, RadianceField};
+use octobayes::field::{HashGrid, TrainedField};
 use octobayes::geometry::Domain;
 use octobayes::uncertainty::UncertaintyField;
 

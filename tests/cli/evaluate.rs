@@ -89,8 +89,7 @@ fn photographs_alone_can_be_cleaned_up() {
 fn a_disk_that_is_full_at_the_last_file_leaves_no_half_set() {
     let desk = desk();
     let names = ["sheet.png", "plot.svg", "curves.csv"];
-    let outputs =
-        "--clean-up sheet.png --plot plot.svg --csv curves.csv --ray-average u-spread,weighted-mean";
+    let outputs = "--clean-up sheet.png --plot plot.svg --csv curves.csv --ray-average u-spread,weighted-mean";
     desk.good(&format!("{EVALUATE} {outputs}"));
     let sizes = names.map(|name| desk.bytes(name).len() as u64);
     names.iter().for_each(|name| desk.write(name, "precious"));

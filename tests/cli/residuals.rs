@@ -2,7 +2,7 @@
 
 use crate::program::Desk;
 use octobayes::dataset::Views;
-use octobayes::field::{ClosedForm, RadianceField};
+use octobayes::field::{ClosedForm, RadianceField, TrainedField};
 use octobayes::monitor::Silent;
 use octobayes::render::{Marcher, Tracer, render_view};
 use octobayes::uncertainty::{Conformal, Residuals};

@@ -10,7 +10,7 @@ use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
 use octobayes::export::{
     MeshSettings, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
 };
-use octobayes::field::{ClosedForm, Intrinsics, RadianceField};
+use octobayes::field::{ClosedForm, Intrinsics, TrainedField};
 use octobayes::geometry::{Camera, Domain, Norm};
 use octobayes::monitor::Silent;
 use octobayes::octree::Tile;
@@ -193,7 +193,7 @@ fn pictures(field: &dyn Answers, threshold: f64) -> [Vec<[u64; 3]>; 2] {
     let (scene, camera) = (ClosedForm::courtyard(), ClosedForm::half_circle(5, [48, 40])[1]);
     let cleaned = ThresholdedField::new(&scene, field, threshold);
     let averages = [RayAverage::WeightedMean, RayAverage::USpreadPerRootRay];
-    let models: [&dyn RadianceField; 2] = [&scene, &cleaned];
+    let models: [&dyn TrainedField; 2] = [&scene, &cleaned];
     let pictures = models.map(|model| {
         let tracer = RaySettings::default().occupancy(48).tracer(model, 0.0, &Silent).unwrap();
         let view = render_view(&tracer, &camera, 0.5, &[Probe { field, averages: &averages }], &Silent).unwrap();
@@ -258,7 +258,7 @@ fn a_tile_that_is_gone_is_an_error_and_no_empty_space() {
     }
     assert!(tiled.estimates(&[Vec3::ZERO]).is_err() && tiled.cells().is_err());
     let camera = &ClosedForm::half_circle(2, [8, 8])[0];
-    let render = |model: &dyn RadianceField, probes: &[Probe]| {
+    let render = |model: &dyn TrainedField, probes: &[Probe]| {
         let tracer = RaySettings::default().occupancy(16).tracer(model, 0.0, &Silent).unwrap();
         render_view(&tracer, camera, 0.5, probes, &Silent)
     };

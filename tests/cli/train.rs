@@ -12,7 +12,7 @@ use crate::program::{Desk, cameras};
 use glam::{DVec3, Vec3};
 use octobayes::dataset::{Frame, Views, write_transforms};
 use octobayes::estimate::RaySettings;
-use octobayes::field::{ClosedForm, HashGrid, RadianceField};
+use octobayes::field::{ClosedForm, HashGrid, RadianceField, TrainedField};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
 use octobayes::render::render_view;

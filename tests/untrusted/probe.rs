@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PointReader, PosedImage, Views, scene_points};
 use octobayes::estimate::{Checkpoint, FieldBuilder, FieldSource, GridSettings, SURFACE_POINTS};
-use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField, VoxelGrid};
+use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, TrainedField, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::posterior::Covariance;
@@ -217,7 +217,7 @@ fn checkpoint(path: &Path) -> Result<()> {
     outcome
 }
 
-fn model_is_sound(model: &dyn RadianceField) {
+fn model_is_sound(model: &dyn TrainedField) {
     let bounds = model.bounds();
     assert!(Aabb::new(bounds.min(), bounds.max()).is_ok(), "{bounds:?}");
     assert!(model.suggested_step() > 0.0 && model.suggested_step().is_finite(), "{}", model.suggested_step());

@@ -21,7 +21,7 @@ use super::progress::Bars;
 use super::report;
 use crate::dataset::{Frame, write_transforms};
 use crate::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
-use crate::field::RadianceField;
+use crate::field::TrainedField;
 use crate::geometry::Camera;
 use crate::io::AtomicFile;
 use crate::monitor::Monitor;
@@ -248,9 +248,9 @@ impl Args {
         let Shown { low, threshold } = shown;
         let (field, prior) = (subject.field.as_ref(), uncertainty.prior().log10());
         let cleaned = ThresholdedField::new(field, uncertainty, threshold);
-        let truth = subject.truth.as_ref().map(|truth| &truth.scene as &dyn RadianceField);
+        let truth = subject.truth.as_ref().map(|truth| &truth.scene as &dyn TrainedField);
         let probes = [Probe { field: uncertainty, averages: &[RayAverage::WeightedMean] }];
-        let render = |field: &dyn RadianceField| -> Result<Vec<RenderedView>> {
+        let render = |field: &dyn TrainedField| -> Result<Vec<RenderedView>> {
             let tracer = RaySettings::default().cutoff(1e-4).tracer(field, 0.0, bars)?;
             let cameras = subject.views().map(|view| view.1);
             bars.begin("rows", cameras.iter().map(|camera| u64::from(camera.resolution[1])).sum());

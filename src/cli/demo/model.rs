@@ -6,7 +6,7 @@ use super::scene::{Truth, courtyard};
 use crate::Result;
 use crate::dataset::PosedImage;
 use crate::estimate::RaySettings;
-use crate::field::{HashGrid, HashGridConfig, RadianceField};
+use crate::field::{HashGrid, HashGridConfig, RadianceField, TrainedField};
 use crate::geometry::{Camera, Domain};
 use crate::monitor::Monitor;
 use crate::posterior::DataScale;
@@ -74,7 +74,7 @@ pub fn train(seed: u64, bars: &dyn Monitor) -> Result<DemoModel> {
 }
 
 /// What `cameras` see of `scene`, as pictures with alpha.
-fn shots(scene: &dyn RadianceField, cameras: &[Camera], bars: &dyn Monitor) -> Result<Vec<Shot>> {
+fn shots(scene: &dyn TrainedField, cameras: &[Camera], bars: &dyn Monitor) -> Result<Vec<Shot>> {
     let settings = RaySettings { cutoff: 1e-4, background: Vec3::ZERO, ..RaySettings::default() };
     let tracer = settings.tracer(scene, 0.0, bars)?;
     let shot = |(i, camera): (usize, &Camera)| {

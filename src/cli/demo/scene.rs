@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 
 use super::model::DemoModel;
 use crate::field::closed_form::{Primitive, Shape, Texture};
-use crate::field::{ClosedForm, Intrinsics, RadianceField};
+use crate::field::{ClosedForm, Intrinsics, RadianceField, TrainedField};
 use crate::geometry::{Aabb, Camera};
 use crate::{Error, Result};
 
@@ -30,7 +30,7 @@ const PICTURE: [u32; 2] = [400, 330];
 
 /// A scene with its cameras, and how to show it.
 pub struct DemoScene {
-    pub field: Box<dyn RadianceField>,
+    pub field: Box<dyn TrainedField>,
     /// Name of each camera's picture, and the camera.
     pub cameras: Vec<(String, Camera)>,
     /// Name of the model in the record.

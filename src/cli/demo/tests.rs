@@ -5,8 +5,8 @@ use glam::Vec3;
 use super::matter::Shares;
 use super::scene::{Truth, courtyard};
 use super::*;
-use crate::field::ClosedForm;
 use crate::field::closed_form::{Primitive, Shape};
+use crate::field::{ClosedForm, RadianceField};
 use crate::monitor::Silent;
 
 /// The courtyard as its own model, with a bar added behind the floor, where no camera of training sees it.

@@ -21,7 +21,7 @@ use super::options::{
 use super::progress::Bars;
 use crate::dataset::passed_over;
 use crate::error::printable;
-use crate::field::{HashGrid, HashGridConfig, RadianceField};
+use crate::field::{HashGrid, HashGridConfig, TrainedField};
 use crate::geometry::{Aabb, Domain, Norm};
 use crate::monitor::Monitor;
 use crate::posterior::DataScale;

@@ -7,19 +7,19 @@ use glam::{DVec3, Vec3};
 use super::Model;
 use crate::Result;
 use crate::estimate::RaySettings;
-use crate::field::{Intrinsics, RadianceField};
+use crate::field::{Intrinsics, RadianceField, TrainedField};
 use crate::geometry::{Aabb, Camera, Domain, Lattice, NamedCamera};
 use crate::monitor::{Message, Monitor};
 use crate::render::{INSIDE_MATTER_SAMPLES, Renderer, Tracer, VolumeRenderer};
 use crate::uncertainty::{Answers, ThresholdedField};
 
-impl<F: RadianceField> Model for F {
+impl<F: TrainedField> Model for F {
     fn kind(&self) -> &'static str {
         "a volume"
     }
 
     fn describe(&self) -> String {
-        RadianceField::describe(self)
+        TrainedField::describe(self)
     }
 
     fn whole_box(&self) -> Aabb {
@@ -31,11 +31,11 @@ impl<F: RadianceField> Model for F {
     }
 
     fn natural_domain(&self) -> Domain {
-        RadianceField::natural_domain(self)
+        TrainedField::natural_domain(self)
     }
 
     fn covered(&self, _: &[Camera], _: Vec3, _: &dyn Monitor) -> Result<(Domain, Vec<Message>)> {
-        let domain = RadianceField::natural_domain(self);
+        let domain = TrainedField::natural_domain(self);
         let note = match domain {
             Domain::Box(_) => None,
             Domain::Contracted { .. } => {
@@ -50,19 +50,19 @@ impl<F: RadianceField> Model for F {
     }
 
     fn training_cameras(&self) -> &[NamedCamera] {
-        RadianceField::training_cameras(self)
+        TrainedField::training_cameras(self)
     }
 
     fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
-        RadianceField::cameras(self, intrinsics)
+        TrainedField::cameras(self, intrinsics)
     }
 
     fn training_noise(&self) -> Option<f64> {
-        RadianceField::training_noise(self)
+        TrainedField::training_noise(self)
     }
 
     fn pixel_offset(&self) -> f64 {
-        RadianceField::pixel_offset(self)
+        TrainedField::pixel_offset(self)
     }
 
     fn for_rays<'a>(
@@ -96,7 +96,7 @@ impl<F: RadianceField> Model for F {
     }
 
     fn check(&self) -> Result<()> {
-        RadianceField::check(self)
+        TrainedField::check(self)
     }
 
     fn in_matter(&self, step: Option<f64>, eyes: &[DVec3]) -> Vec<bool> {

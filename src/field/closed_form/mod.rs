@@ -16,7 +16,7 @@ use glam::Vec3;
 
 use self::columns::Columns;
 use self::rig::Rig;
-use super::{Intrinsics, Radiance, RadianceField};
+use super::{Intrinsics, Radiance, RadianceField, TrainedField};
 use crate::geometry::{Aabb, Camera};
 use crate::{Error, Result};
 
@@ -128,16 +128,18 @@ impl RadianceField for ClosedForm {
         })
     }
 
-    fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
-        self.rig.as_ref().map(|rig| rig.cameras(intrinsics)).transpose()
-    }
-
     fn suggested_step(&self) -> f64 {
         self.step
     }
 
     fn memory(&self) -> usize {
         size_of_val(self.primitives.as_slice()) + self.columns.as_ref().map_or(0, Columns::memory)
+    }
+}
+
+impl TrainedField for ClosedForm {
+    fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
+        self.rig.as_ref().map(|rig| rig.cameras(intrinsics)).transpose()
     }
 
     fn describe(&self) -> String {

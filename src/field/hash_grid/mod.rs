@@ -18,12 +18,8 @@ mod network;
 mod space;
 
 pub use config::{HashGridConfig, N_FEATURES_PER_LEVEL, N_GEOMETRY, N_LEVELS, N_NEURONS};
-#[cfg(feature = "experiments")]
-pub(crate) use encoding::Entry;
-pub(crate) use encoding::{Encoding, WIDTH};
-#[cfg(any(test, feature = "experiments"))]
-pub(crate) use network::LAYERS;
-pub(crate) use network::{Backward, Forward, N_COLOR, N_VIEW, Network, Transposed, density_derivative};
+pub(crate) use encoding::{Encoding, Entry, WIDTH};
+pub(crate) use network::{Backward, Forward, LAYERS, N_COLOR, N_VIEW, Network, Transposed, density_derivative};
 pub(crate) use space::Space;
 
 use glam::Vec3;
@@ -31,7 +27,7 @@ use multiversion::multiversion;
 
 use super::harmonics::spherical_harmonics;
 use super::window::Window;
-use super::{Differentiable, Intrinsics, Radiance, RadianceField};
+use super::{Differentiable, Intrinsics, Radiance, RadianceField, TrainedField};
 use crate::geometry::{Aabb, Camera, Domain, NamedCamera, Norm};
 use crate::{Error, Result};
 
@@ -319,6 +315,19 @@ impl RadianceField for HashGrid {
         self.window.is_empty(low, high).then_some(0.0)
     }
 
+    fn suggested_step(&self) -> f64 {
+        self.space.step()
+    }
+
+    fn memory(&self) -> usize {
+        size_of_val(self.parameters.encoding.table.as_slice())
+            + self.window.memory()
+            + self.occupied.len()
+            + size_of::<Self>()
+    }
+}
+
+impl TrainedField for HashGrid {
     fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
         if let Some(fov) = intrinsics.fov_x.filter(|_| !self.cameras.is_empty()) {
             let found = format!("{} degrees", fov.to_degrees());
@@ -339,17 +348,6 @@ impl RadianceField for HashGrid {
 
     fn natural_domain(&self) -> Domain {
         self.space.domain
-    }
-
-    fn suggested_step(&self) -> f64 {
-        self.space.step()
-    }
-
-    fn memory(&self) -> usize {
-        size_of_val(self.parameters.encoding.table.as_slice())
-            + self.window.memory()
-            + self.occupied.len()
-            + size_of::<Self>()
     }
 
     fn describe(&self) -> String {

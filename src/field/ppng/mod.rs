@@ -29,7 +29,7 @@ use self::features::{BLOCK, Encoding, JET, Kind, WIDTH};
 use self::file::File;
 use self::network::{HIDDEN, Network, OUTPUTS};
 use super::window::Window;
-use super::{Differentiable, Intrinsics, Radiance, RadianceField, RadianceJet};
+use super::{Differentiable, Intrinsics, Radiance, RadianceField, RadianceJet, TrainedField};
 use crate::geometry::{Aabb, Camera};
 use crate::{Error, Result};
 
@@ -218,6 +218,16 @@ impl RadianceField for Ppng {
         (a.is_finite() && b.is_finite() && self.window.is_empty(a, b)).then_some(0.0)
     }
 
+    fn suggested_step(&self) -> f64 {
+        self.step / self.coordinates.scale()
+    }
+
+    fn memory(&self) -> usize {
+        self.encoding.memory() + self.window.memory() + size_of::<Self>() + size_of_val(self.poses.as_slice())
+    }
+}
+
+impl TrainedField for Ppng {
     fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
         let fov_x = intrinsics.fov_x.ok_or_else(|| {
             Error::setting("angle of view", "the horizontal angle of view, which a .ppng file does not tell", "none")
@@ -225,14 +235,6 @@ impl RadianceField for Ppng {
         let resolution = intrinsics.resolution.unwrap_or(RESOLUTION);
         let cameras = self.poses.iter().map(|&pose| self.coordinates.camera(pose, fov_x, resolution));
         Ok(if self.poses.is_empty() { None } else { Some(cameras.collect()) })
-    }
-
-    fn suggested_step(&self) -> f64 {
-        self.step / self.coordinates.scale()
-    }
-
-    fn memory(&self) -> usize {
-        self.encoding.memory() + self.window.memory() + size_of::<Self>() + size_of_val(self.poses.as_slice())
     }
 
     fn describe(&self) -> String {

@@ -4,7 +4,7 @@ use std::sync::Mutex;
 
 use super::*;
 use crate::estimate::{GridSettings, RaySettings};
-use crate::field::{ClosedForm, Differentiable, Radiance, RadianceField, RadianceJet, VoxelGrid};
+use crate::field::{ClosedForm, Differentiable, Radiance, RadianceField, RadianceJet, TrainedField, VoxelGrid};
 use crate::geometry::{Aabb, Domain};
 use crate::monitor::Silent;
 use crate::render::GradientMethod;
@@ -35,26 +35,33 @@ impl RadianceField for Wide {
     fn bounds(&self) -> Aabb {
         self.scene.bounds()
     }
+
     fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
         if self.counts_colors {
             self.note(positions.len());
         }
         self.scene.evaluate(positions, directions, out);
     }
+
     fn densities(&self, positions: &[Vec3], out: &mut [f32]) {
         self.note(positions.len());
         self.scene.densities(positions, out);
     }
+
     fn differentiable(&self) -> Option<&dyn Differentiable> {
         Some(self)
     }
+
     fn suggested_step(&self) -> f64 {
         self.scene.suggested_step()
     }
+
     fn batch(&self) -> usize {
         self.batch
     }
 }
+
+impl TrainedField for Wide {}
 
 impl Differentiable for Wide {
     fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]) {

@@ -116,9 +116,6 @@ fn not_a_number_drops_the_ray_and_is_reported() {
         fn memory(&self) -> usize {
             0
         }
-        fn describe(&self) -> String {
-            "not finite for y > 0.5".into()
-        }
     }
     let marcher = Marcher { step: 0.1, bounds: Holed.bounds(), occupancy: None, cutoff: 0.0 };
     let tracer = Tracer { field: &Holed, marcher, background: Vec3::ONE };
@@ -151,9 +148,6 @@ impl RadianceField for BumpBeforeFog {
     fn memory(&self) -> usize {
         0
     }
-    fn describe(&self) -> String {
-        "a bump before fog".into()
-    }
 }
 
 /// A slab of uniform density and colour between ramps, within 0.5 of the middle along x.
@@ -174,9 +168,6 @@ impl RadianceField for Slab {
     }
     fn memory(&self) -> usize {
         0
-    }
-    fn describe(&self) -> String {
-        "a slab".into()
     }
 }
 

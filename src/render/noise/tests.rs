@@ -41,9 +41,6 @@ impl RadianceField for Noisy {
     fn memory(&self) -> usize {
         0
     }
-    fn describe(&self) -> String {
-        "noisy waves".into()
-    }
 }
 
 fn points(n: usize) -> Vec<Vec3> {

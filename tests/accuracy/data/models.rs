@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use glam::Vec3;
 use octobayes::dataset::{PosedImage, Views};
 use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings, StepCheck};
-use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField};
+use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField, TrainedField};
 use octobayes::geometry::Domain;
 use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
@@ -24,7 +24,7 @@ fn vectors(rows: &serde_json::Value) -> Vec<Vec3> {
 
 /// Renders test views of lego and compares their PSNR with what was measured, to within 0.3 dB, over every
 /// `stride`th pixel along x and y.
-fn check_lego_renders(model: &dyn RadianceField, stride: usize, measured: [f64; 3]) {
+fn check_lego_renders(model: &dyn TrainedField, stride: usize, measured: [f64; 3]) {
     let views = Views::read(&data("nerf-lego-400/transforms_test.json"), None).unwrap();
     let settings = RaySettings::default().cutoff(1e-4);
     let tracer = settings.tracer(model, 0.0, &Silent).unwrap();

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use half::f16;
 use octobayes::Result;
-use octobayes::field::{ClosedForm, Differentiable, Radiance, RadianceField, VoxelGrid};
+use octobayes::field::{ClosedForm, Differentiable, Radiance, RadianceField, TrainedField, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera};
 
 /// Viewpoints, and the lens that all of them share.
@@ -175,7 +175,9 @@ impl RadianceField for Specimen {
     fn memory(&self) -> usize {
         self.shapes.memory() + self.grid.as_ref().map_or(0, VoxelGrid::memory)
     }
+}
 
+impl TrainedField for Specimen {
     fn describe(&self) -> String {
         format!("zoo: {}", self.shapes.describe())
     }
