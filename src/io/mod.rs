@@ -18,13 +18,12 @@ mod mix;
 pub mod npy;
 #[cfg(feature = "files")]
 pub mod npz;
-pub mod part;
 pub mod place;
 mod source;
 #[cfg(feature = "files")]
 mod whole;
 
-pub use atomic::AtomicFile;
+pub use atomic::{AtomicFile, beside};
 #[cfg(feature = "export")]
 pub use cell::cell;
 #[cfg(feature = "files")]

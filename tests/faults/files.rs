@@ -112,7 +112,6 @@ fn two_files_of_a_command_are_never_the_same() {
         (format!("{RUN} -o ./sub/../model.npz"), ["--output", "MODEL"]),
         (format!("{RUN} -o cameras.json"), ["--output", "--cameras"]),
         (format!("{RUN} -o soft"), ["--output", "--cameras"]),
-        (format!("{RUN} -o hard"), ["--output", "--cameras"]),
         (format!("{RUN} -o r_1.png"), ["--output", "an image of --cameras"]),
         (format!("{RUN} -o x.oct --checkpoint x.oct"), ["--checkpoint", "--output"]),
         (format!("{RUN} -o x.oct --checkpoint cameras.json"), ["--checkpoint", "--cameras"]),
@@ -195,6 +194,9 @@ fn links_are_followed_and_stay() {
         assert!(desk.path(&link).is_symlink() && desk.path(&target).is_file(), "{command} {link}");
         assert!(std::fs::metadata(desk.path(&target)).unwrap().len() > 0, "{command} {link}");
     }
+    let cameras = std::fs::read(desk.path("cameras.json")).unwrap();
+    desk.good(&format!("{RUN} -o hard"));
+    assert_eq!(std::fs::read(desk.path("cameras.json")).unwrap(), cameras, "a hard link is a file of its own");
     symlink("sub/dataset", desk.path("dataset")).unwrap();
     desk.good("synth mesh.obj -o dataset --count 1 --test-count 1 --resolution 8");
     assert!(desk.path("dataset").is_symlink() && desk.path("sub/dataset/transforms_train.json").is_file());
