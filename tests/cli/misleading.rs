@@ -137,7 +137,6 @@ fn a_threshold_that_leaves_nothing_is_told_with_the_share_that_was_meant() {
         format!("render ball.npz x.oct {view} THRESHOLD -o x.png"),
         format!("render ball.npz x.oct {view} THRESHOLD -o x.exr"),
         format!("render ball.npz x.oct {view} THRESHOLD --frame 0..2 -o frames"),
-        format!("render ball.npz x.oct {view} THRESHOLD --orbit 2 -o x.gif"),
         format!("export ball.npz x.oct {view} THRESHOLD -o x.ply"),
         format!("export ball.npz x.oct {view} THRESHOLD -o x.csv"),
     ];
