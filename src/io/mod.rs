@@ -27,7 +27,7 @@ pub use atomic::{AtomicFile, beside};
 #[cfg(feature = "export")]
 pub use cell::cell;
 #[cfg(feature = "files")]
-pub use element::{Element, Index, Real};
+pub use element::{Dtype, Element, Index, Real, Stored};
 #[cfg(feature = "exr")]
 pub use exr::read_exr_depth;
 #[cfg(feature = "synth")]

@@ -20,8 +20,7 @@ fn octobayes(args: &[&str]) {
 #[test]
 fn samples_written_by_numpy_give_numpys_sums() {
     let numpy = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/numpy");
-    let expected = npyz::NpyFile::new(std::fs::File::open(numpy.join("expected.npy")).unwrap()).unwrap();
-    let expected: Vec<f64> = expected.into_vec().unwrap();
+    let (_, expected) = crate::answers::read_npy(&numpy.join("expected.npy"));
     let folder = tempfile::tempdir().unwrap();
     for (grid, kind) in [("dense", GridKind::Dense), ("octree", GridKind::Octree)] {
         let out = folder.path().join(format!("{grid}.oct"));
