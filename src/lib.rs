@@ -104,6 +104,9 @@
 // Both macros panic if the stream cannot be written: `say!` and `announce!` of the command line do not.
 #![cfg_attr(not(test), warn(clippy::print_stderr, clippy::print_stdout))]
 
+#[macro_use]
+mod setters;
+
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;

@@ -3,10 +3,9 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use super::identity::Identity;
 use crate::dataset::{Views, taken_for};
+use crate::io::AtomicFile;
 use crate::io::place::{destination, folder_of};
-use crate::io::{AtomicFile, part};
 use crate::uncertainty::TiledField;
 use crate::{Error, Result};
 
@@ -61,19 +60,17 @@ impl CommandFiles {
     }
 
     /// Checks that every output can be written, that it is a different file from all others, and that it neither joins
-    /// the tiles of a folder that is read nor seems to be the cameras of a data set. Removes what killed runs left of
-    /// the outputs.
+    /// the tiles of a folder that is read nor seems to be the cameras of a data set.
     pub fn check(&self) -> Result<()> {
-        let folders: Vec<&(String, PathBuf)> = self.inputs.iter().filter(|(_, path)| path.is_dir()).collect();
         let mut tiles = Vec::new();
-        for (option, folder) in folders {
+        for (option, folder) in self.inputs.iter().filter(|(_, path)| path.is_dir()) {
             tiles.extend(TiledField::files(folder)?.into_iter().map(|path| (option.clone(), path)));
         }
-        let mut others: HashMap<Identity, &(String, PathBuf)> = HashMap::new();
-        others.extend(self.inputs.iter().chain(&tiles).map(|input| (Identity::new(&input.1), input)));
+        let others = self.inputs.iter().chain(&tiles).map(|input| (only_name(&input.1), input));
+        let mut others: HashMap<PathBuf, &(String, PathBuf)> = others.collect();
         for output in &self.outputs {
             let (option, path) = output;
-            if let Some((other, name)) = others.insert(Identity::new(path), output) {
+            if let Some((other, name)) = others.insert(only_name(path), output) {
                 let found = format!("{}, the same file as {} of {other}", path.display(), name.display());
                 return Err(Error::setting(option, "a file of its own", found));
             }
@@ -82,15 +79,23 @@ impl CommandFiles {
                 let found = format!("{}, beside {}", path.display(), other.display());
                 return Err(Error::setting(option, expected, found));
             }
-            let place = |path: &Path| Identity::new(folder_of(path));
+            let place = |path: &Path| only_name(folder_of(path));
             let is_field = path.extension().is_some_and(|extension| extension == "oct");
             if let Some((_, tile)) = tiles.iter().find(|(_, tile)| is_field && place(tile) == place(path)) {
                 let expected = format!("a file in another folder than the tiles of {}", folder_of(tile).display());
                 return Err(Error::setting(option, expected, path.display().to_string()));
             }
-            destination(path).iter().for_each(|path| part::clear_leftovers(path));
             drop(AtomicFile::create(path)?);
         }
         Ok(())
     }
+}
+
+/// The path of a file, or of one that does not exist yet, without symbolic links. A hard link is a file of its own:
+/// what is written there leaves its other names alone.
+fn only_name(path: &Path) -> PathBuf {
+    let path = destination(path);
+    let there = path.canonicalize();
+    let new = || Some(folder_of(&path).canonicalize().ok()?.join(path.file_name()?));
+    there.ok().or_else(new).unwrap_or(path)
 }

@@ -18,7 +18,6 @@ mod evaluate;
 mod export;
 mod files;
 mod given;
-mod identity;
 mod info;
 mod merge;
 mod next_view;

@@ -221,10 +221,9 @@ impl<P: Finish> Builder<P> {
         self.posterior.memory()
     }
 
-    /// The same, apart from what is taken and not used.
+    /// The same, for the plan.
     pub fn summed(&self) -> Summed {
-        let spare = self.posterior.spare();
-        Summed { used: self.memory() - spare, spare, vertices: None }
+        Summed { used: self.memory(), vertices: None }
     }
 
     /// The settings.

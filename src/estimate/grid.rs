@@ -1,7 +1,5 @@
 //! Settings of the grid on which information is summed, and of its conversion to a field.
 
-use derive_setters::Setters;
-
 use crate::geometry::{Domain, Lattice};
 use crate::octree::Tile;
 use crate::posterior::{Covariance, Criteria, DensePosterior, Entries, Pooling, Scale};
@@ -20,42 +18,42 @@ pub enum GridKind {
     Dense,
 }
 
-/// Settings of the grid on which information is summed, and of its conversion to a field.
-#[derive(Debug, Clone, Copy, PartialEq, Setters)]
-#[non_exhaustive]
-pub struct GridSettings {
-    /// Dense grid or octree.
-    pub grid: GridKind,
-    /// Finest level: 2^level cells per axis of the box.
-    pub level: u8,
-    /// Definition of the standard deviation that is computed from the 3×3 matrices.
-    pub covariance: Covariance,
-    /// Prior precision λ, 1 / scene unit²; `None` for 1e-4 / M³ divided by the square of the box's longest edge.
-    #[setters(into)]
-    pub lambda: Option<f64>,
-    /// What U is a deviation of. The scale of the training pixels determines λ.
-    pub scale: Scale,
-    /// Largest change of log10 U due to coarse leaves. Smaller values keep more vertices; 0 keeps all that any
-    /// ray moved.
-    pub tolerance: f64,
-    /// Whether a vertex near few rays borrows from its neighbours; off by default, as on the dense grid of the paper.
-    pub pooling: Pooling,
-    /// Criteria for refining the octree.
-    pub criteria: Criteria,
-    /// With [`Criterion::RayCount`](crate::posterior::Criterion::RayCount), approximate number of rays per vertex below
-    /// which leaves stay coarser.
-    pub ray_count: f64,
-    /// Maximal peak memory of the process, bytes; `None` for no limit. Leaves stay coarser where it is short, so a
-    /// field under a budget depends on what the process takes beside it.
-    #[setters(into)]
-    pub memory: Option<u64>,
-    /// The part of space whose sums are kept; [`merge`](crate::uncertainty::merge) joins the tiles. `None` for all of
-    /// it.
-    #[setters(into)]
-    pub tile: Option<Tile>,
-    /// Whether the field keeps its sums, for other covariances and merging. Without them an octree takes half of the
-    /// memory, or two thirds for [`Covariance::Block`]. A part of a run keeps them all the same.
-    pub keep_sums: bool,
+setters! {
+    /// Settings of the grid on which information is summed, and of its conversion to a field.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    #[non_exhaustive]
+    pub struct GridSettings {
+        /// Dense grid or octree.
+        pub grid: GridKind,
+        /// Finest level: 2^level cells per axis of the box.
+        pub level: u8,
+        /// Definition of the standard deviation that is computed from the 3×3 matrices.
+        pub covariance: Covariance,
+        /// Prior precision λ, 1 / scene unit²; `None` for 1e-4 / M³ divided by the square of the box's longest edge.
+        pub lambda: Option<f64> as into,
+        /// What U is a deviation of. The scale of the training pixels determines λ.
+        pub scale: Scale,
+        /// Largest change of log10 U due to coarse leaves. Smaller values keep more vertices; 0 keeps all that any
+        /// ray moved.
+        pub tolerance: f64,
+        /// Whether a vertex near few rays borrows from its neighbours; off by default, as on the dense grid of the
+        /// paper.
+        pub pooling: Pooling,
+        /// Criteria for refining the octree.
+        pub criteria: Criteria,
+        /// With [`Criterion::RayCount`](crate::posterior::Criterion::RayCount), approximate number of rays per vertex
+        /// below which leaves stay coarser.
+        pub ray_count: f64,
+        /// Maximal peak memory of the process, bytes; `None` for no limit. Leaves stay coarser where it is short, so a
+        /// field under a budget depends on what the process takes beside it.
+        pub memory: Option<u64> as into,
+        /// The part of space whose sums are kept; [`merge`](crate::uncertainty::merge) joins the tiles. `None` for all
+        /// of it.
+        pub tile: Option<Tile> as into,
+        /// Whether the field keeps its sums, for other covariances and merging. Without them an octree takes half of
+        /// the memory, or two thirds for [`Covariance::Block`]. A part of a run keeps them all the same.
+        pub keep_sums: bool,
+    }
 }
 
 impl Default for GridSettings {

@@ -1,6 +1,5 @@
 //! Settings of rays: which are drawn, and how they are sampled and differentiated.
 
-use derive_setters::Setters;
 use glam::{DVec3, Vec3};
 
 use super::{Model, PositionCheck};
@@ -30,45 +29,44 @@ const MIN_STEP_SPACINGS: f64 = 4.0;
 /// Maximal number of samples along a ray; hundreds of rays are in progress at once.
 const MAX_STEPS: f64 = MOST_SAMPLES as f64;
 
-/// Settings of rays: which are drawn, and how they are sampled and differentiated.
-#[derive(Debug, Clone, Copy, PartialEq, Setters)]
-#[non_exhaustive]
-pub struct RaySettings {
-    /// R, the number of rays. [`Pixels::Every`] replaces it by the number of pixels that masks keep.
-    pub rays: u64,
-    /// The method of choosing pixels.
-    pub pixels: Pixels,
-    /// Seed of pixels and jitter.
-    pub seed: u64,
-    /// Source of the field's derivatives.
-    pub gradient: GradientMethod,
-    /// Finite-difference step in edges of the finest lattice. `None` for 1/512, for 1/2048 with forward differences, or
-    /// for what f32 positions need on very fine lattices.
-    ///
-    /// Larger steps smooth the field's derivative and change log10 U; smaller ones are dominated by f32 rounding.
-    /// The curves in `experiments/hard_cases.md` compare with exact derivatives at level 8. For the two trained
-    /// models, the mean |Δ log10 U| is lowest (0.006, 0.004) around 1/1024 and grows to 0.03 at 1/128, because of
-    /// kinks and high frequencies. Smooth fields would prefer 1/16 and lose 6e-5 at 1/512. On much finer lattices
-    /// rounding matters more; [`super::StepCheck`] measures both.
-    #[setters(into)]
-    pub step: Option<f64>,
-    /// Samples are not differentiated if their weight stays below this, and so does their sensitivity, as
-    /// estimated from density bounds and neighbours. Rays end at this transmittance.
-    ///
-    /// The cutoff bounds what a pixel loses rather than the change of log10 U, and is not part of the
-    /// tolerance. `experiments/approximations.md` has its cost, and [`super::Audit`] measures it. 0 leaves out
-    /// nothing and takes a hundred times longer.
-    pub cutoff: f64,
-    /// Distance between samples, scene units; `None` for the field's suggestion.
-    #[setters(into)]
-    pub march_step: Option<f64>,
-    /// Colour behind the scene.
-    pub background: Vec3,
-    /// Position of rays within their pixel; `None` for the field's own.
-    #[setters(into)]
-    pub pixel_offset: Option<f64>,
-    /// Cells per axis of the occupancy grid.
-    pub occupancy: usize,
+setters! {
+    /// Settings of rays: which are drawn, and how they are sampled and differentiated.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    #[non_exhaustive]
+    pub struct RaySettings {
+        /// R, the number of rays. [`Pixels::Every`] replaces it by the number of pixels that masks keep.
+        pub rays: u64,
+        /// The method of choosing pixels.
+        pub pixels: Pixels,
+        /// Seed of pixels and jitter.
+        pub seed: u64,
+        /// Source of the field's derivatives.
+        pub gradient: GradientMethod,
+        /// Finite-difference step in edges of the finest lattice. `None` for 1/512, for 1/2048 with forward
+        /// differences, or for what f32 positions need on very fine lattices.
+        ///
+        /// Larger steps smooth the field's derivative and change log10 U; smaller ones are dominated by f32 rounding.
+        /// The curves in `experiments/hard_cases.md` compare with exact derivatives at level 8. For the two trained
+        /// models, the mean |Δ log10 U| is lowest (0.006, 0.004) around 1/1024 and grows to 0.03 at 1/128, because of
+        /// kinks and high frequencies. Smooth fields would prefer 1/16 and lose 6e-5 at 1/512. On much finer lattices
+        /// rounding matters more; [`super::StepCheck`] measures both.
+        pub step: Option<f64> as into,
+        /// Samples are not differentiated if their weight stays below this, and so does their sensitivity, as
+        /// estimated from density bounds and neighbours. Rays end at this transmittance.
+        ///
+        /// The cutoff bounds what a pixel loses rather than the change of log10 U, and is not part of the
+        /// tolerance. `experiments/approximations.md` has its cost, and [`super::Audit`] measures it. 0 leaves out
+        /// nothing and takes a hundred times longer.
+        pub cutoff: f64,
+        /// Distance between samples, scene units; `None` for the field's suggestion.
+        pub march_step: Option<f64> as into,
+        /// Colour behind the scene.
+        pub background: Vec3,
+        /// Position of rays within their pixel; `None` for the field's own.
+        pub pixel_offset: Option<f64> as into,
+        /// Cells per axis of the occupancy grid.
+        pub occupancy: usize,
+    }
 }
 
 impl Default for RaySettings {

@@ -6,6 +6,7 @@ use glam::Vec3;
 
 use super::cells::{at_centers, center, edges, in_chunks, knows, leaves};
 use crate::Result;
+use crate::io::Stored;
 use crate::io::npz::NpzWriter;
 use crate::uncertainty::{Answer, Answers, Matrices, Observability};
 
@@ -47,7 +48,7 @@ pub fn write_leaves(path: &Path, field: &dyn Answers, matrices: Option<&Matrices
 }
 
 /// Writes one number of each answer.
-fn put<T: npyz::AutoSerialize + npyz::Serialize>(
+fn put<T: Stored>(
     npz: &mut NpzWriter,
     name: &str,
     count: u64,

@@ -2,12 +2,11 @@
 
 use std::path::Path;
 
-use fast_surface_nets::ndshape::{RuntimeShape, Shape};
-use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::ply::{PlyWriter, SURFACE};
+use super::surface_net::SurfaceNet;
 use crate::field::{Radiance, RadianceField};
 use crate::geometry::Aabb;
 use crate::monitor::{Monitor, check};
@@ -35,14 +34,14 @@ struct Cubes {
     /// Edge of a cube, scene units.
     edge: f64,
     /// Points along x, y and z.
-    points: [u32; 3],
+    points: [usize; 3],
 }
 
 impl Cubes {
     fn new(bounds: Aabb, resolution: u32) -> Self {
         let edge = bounds.longest_edge() / f64::from(resolution);
         // Cells, one point more than those, and one more on either side.
-        let points = bounds.size().to_array().map(|side| (side / edge - 1e-6).ceil() as u32 + 3);
+        let points = bounds.size().to_array().map(|side| (side / edge - 1e-6).ceil() as usize + 3);
         Self { bounds, edge, points }
     }
 
@@ -54,7 +53,7 @@ impl Cubes {
     /// ½ minus the light that a cube absorbs along its edge, relative to that of `density`: negative inside. Densities
     /// grow exponentially towards the inside of some models; this does not, so that crossings are found between points.
     fn outside(&self, field: &dyn RadianceField, density: f64, monitor: &dyn Monitor) -> Result<Vec<f32>> {
-        let [nx, ny, nz] = self.points.map(|n| n as usize);
+        let [nx, ny, nz] = self.points;
         let mut out = vec![0.5_f32; nx * ny * nz];
         monitor.begin("layers", nz as u64);
         out.par_chunks_mut(nx * ny).enumerate().try_for_each(|(z, layer)| {
@@ -97,23 +96,16 @@ pub fn write_mesh(
     let cubes = Cubes::new(model.bounds(), settings.resolution);
     let density = settings.density.unwrap_or(std::f64::consts::LN_2 / cubes.edge);
     let outside = cubes.outside(model, density, monitor)?;
-    let mut net = SurfaceNetsBuffer::default();
-    let shape = RuntimeShape::<u32, 3>::new(cubes.points);
-    debug_assert_eq!(shape.linearize([1, 0, 0]), 1, "x runs fastest");
-    surface_nets(&outside, &shape, [0; 3], cubes.points.map(|n| n - 1), &mut net);
+    let net = SurfaceNet::new(&outside, cubes.points);
     if net.positions.is_empty() {
         let least = outside.iter().copied().fold(0.5, f32::min);
         let densest = -(f64::from(least) + 0.5).ln() / std::f64::consts::LN_2 * density;
         let expected = format!("a density below the model's largest on this lattice, {densest:.4}");
         return Err(Error::setting("--density", expected, format!("{density:.4} per scene unit")));
     }
-    let positions: Vec<Vec3> = net
-        .positions
-        .iter()
-        .map(|at| cubes.bounds.clamp(cubes.position(Vec3::from_array(*at).as_dvec3()).as_vec3()))
-        .collect();
-    // The net's normals are gradients of what grows outwards.
-    let normals: Vec<Vec3> = net.normals.iter().map(|n| Vec3::from_array(*n).normalize_or(Vec3::Z)).collect();
+    let placed = |at: &Vec3| cubes.bounds.clamp(cubes.position(at.as_dvec3()).as_vec3());
+    let positions: Vec<Vec3> = net.positions.iter().map(placed).collect();
+    let normals: Vec<Vec3> = net.gradients.iter().map(|gradient| gradient.normalize_or(Vec3::Z)).collect();
     let mut radiance = vec![Radiance::default(); positions.len()];
     let chunks = positions.par_chunks(1024).zip(normals.par_chunks(1024)).zip(radiance.par_chunks_mut(1024));
     chunks.for_each(|((positions, normals), out)| {
@@ -122,18 +114,17 @@ pub fn write_mesh(
     });
     let found = field.estimates(&positions)?;
 
-    let triangles = net.indices.len() / 3;
-    let elements =
-        [("vertex", positions.len(), &SURFACE[..]), ("face", triangles, &[("list uchar int", "vertex_indices")])];
+    let counts = [positions.len(), net.triangles.len()];
+    let elements = [("vertex", counts[0], &SURFACE[..]), ("face", counts[1], &[("list uchar int", "vertex_indices")])];
     let comments = [format!("density {density:.6} per scene unit; {}", field.record().scale.quantity())];
     let mut ply = PlyWriter::create(path, &comments, &elements)?;
     for (i, found) in found.iter().enumerate() {
         ply.surface(positions[i], normals[i], radiance[i].color, found)?;
     }
-    for triangle in net.indices.chunks_exact(3) {
+    for triangle in net.triangles {
         ply.put(&[3])?;
         triangle.iter().try_for_each(|&v| ply.put(&(v as i32).to_le_bytes()))?;
     }
     ply.finish()?;
-    Ok([positions.len(), triangles])
+    Ok(counts)
 }

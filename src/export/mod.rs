@@ -12,6 +12,7 @@ mod ply;
 mod points;
 mod report;
 mod splats;
+mod surface_net;
 
 pub use hyper_tree::write_hyper_tree;
 pub use leaves::write_leaves;

@@ -1,17 +1,43 @@
 //! Files that appear complete or not at all.
 
+use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use tempfile::NamedTempFile;
+use tempfile::{Builder, NamedTempFile};
 
-use super::part;
 use super::place::{check_replaceable, destination, folder_of};
 use crate::{Error, Result};
 
+/// End of the names of temporary files and folders.
+const SUFFIX: &str = ".part";
+
+/// Makes what will be `target` with `make`, in the same folder, under the name `.octobayes-TARGET-….part`.
+///
+/// Removes what killed processes left of the same target. Whoever is alive holds a lock of its part, which ends with
+/// the process.
+pub fn beside<T>(target: &Path, mode: u32, make: impl FnOnce(&Builder, &Path) -> io::Result<T>) -> io::Result<T> {
+    let name = target.file_name().unwrap_or_default().to_string_lossy();
+    // Long names are cut, because most systems allow 255 bytes, and a hash tells them apart.
+    let prefix = format!(".octobayes-{name:.40}-{:08x}-", crc32fast::hash(name.as_bytes()));
+    let others = std::fs::read_dir(folder_of(target)).into_iter().flatten().flatten();
+    for path in others.map(|entry| entry.path()) {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let is_part = name.starts_with(&prefix) && name.ends_with(SUFFIX);
+        if is_part && File::open(&path).is_ok_and(|part| part.try_lock().is_ok()) {
+            let _ = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+        }
+    }
+    let mut builder = Builder::new();
+    builder.prefix(&prefix).suffix(SUFFIX);
+    // The usual permissions (the umask applies), not the private ones of a temporary file.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(mode));
+    make(&builder, folder_of(target))
+}
+
 /// A buffered file under a temporary name beside its target. [`AtomicFile::commit`] renames it over the target
-/// once its content has reached the disk. A file that is dropped before that is removed. Files of processes that
-/// were killed stay until [`part::clear_leftovers`] is called for the same target.
+/// once its content has reached the disk. A file that is dropped before that is removed.
 #[derive(Debug)]
 pub struct AtomicFile {
     writer: BufWriter<NamedTempFile>,
@@ -23,19 +49,11 @@ impl AtomicFile {
     /// replaced.
     pub fn create(target: &Path) -> Result<Self> {
         check_replaceable(target)?;
-        let destination = destination(target)?;
-        let folder = folder_of(&destination);
-        let prefix = part::prefix(&destination);
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(&prefix).suffix(part::SUFFIX);
-        #[cfg(unix)]
-        {
-            // A new file gets the usual permissions (the umask applies), not the private ones of a temporary file.
-            use std::os::unix::fs::PermissionsExt;
-            builder.permissions(std::fs::Permissions::from_mode(0o666));
-        }
-        let file = part::locked(|| builder.tempfile_in(folder), NamedTempFile::as_file)
+        let destination = destination(target);
+        let file = beside(&destination, 0o666, |builder, folder| builder.tempfile_in(folder))
             .map_err(Error::io(target, "cannot create a file in this folder"))?;
+        // Some file systems have no locks. There, nothing is a leftover.
+        let _ = file.as_file().try_lock();
         Ok(Self { writer: BufWriter::with_capacity(1 << 16, file), target: destination })
     }
 
@@ -65,7 +83,7 @@ impl AtomicFile {
 
     /// Returns the temporary file, read from its start, for content that is copied elsewhere instead of committed.
     #[cfg(feature = "files")]
-    pub fn into_reader(self) -> io::Result<(std::fs::File, tempfile::TempPath)> {
+    pub fn into_reader(self) -> io::Result<(File, tempfile::TempPath)> {
         let (mut file, path) = self.writer.into_inner().map_err(io::IntoInnerError::into_error)?.into_parts();
         file.seek(SeekFrom::Start(0))?;
         Ok((file, path))
@@ -122,6 +140,26 @@ mod tests {
             assert!(link.is_symlink() && !target.is_symlink());
             assert_eq!(std::fs::read_to_string(&target).unwrap(), content);
         }
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn leftovers_of_one_target_are_removed_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let count = || std::fs::read_dir(folder.path()).unwrap().count();
+        let targets = ["x.oct".into(), "x".repeat(250), "x".repeat(251)].map(|name| folder.path().join(name));
+        let held = targets.each_ref().map(|target| AtomicFile::create(target).unwrap());
+        for target in &targets {
+            beside(target, 0o777, |b, folder| Ok((b.tempfile_in(folder)?.keep()?, b.tempdir_in(folder)?.keep())))
+                .unwrap();
+        }
+        assert_eq!(count(), 9);
+        for (i, target) in targets.iter().enumerate() {
+            drop(AtomicFile::create(target).unwrap());
+            assert_eq!(count(), 7 - 2 * i);
+        }
+        held.into_iter().for_each(|file| file.commit().unwrap());
+        assert!(count() == 3 && targets.iter().all(|target| target.exists()));
     }
 
     #[test]

@@ -1,19 +1,45 @@
-//! Elements of NumPy arrays: of one type, or converted from any type that holds such numbers.
+//! Elements of NumPy arrays: numbers of any type, which are stored as one type and read as another.
 
 use std::io::{self, Read};
 
 use half::f16;
-use npyz::{DType, DTypeError, Deserialize, TypeRead};
 
-/// What an array is read as.
-pub trait Element: Deserialize {
-    /// The accepted types, in words.
-    const ACCEPTED: &'static str;
+/// A type of numbers that arrays are written in.
+pub trait Stored: Copy {
+    /// NumPy's name of the type.
+    const DTYPE: &'static str;
+
+    /// Appends the number's bytes.
+    fn put(self, out: &mut Vec<u8>);
 }
 
-#[cfg(test)]
-impl Element for f32 {
-    const ACCEPTED: &'static str = "f32";
+macro_rules! stored {
+    ($($type:ty, $dtype:literal;)*) => {
+        $(impl Stored for $type {
+            const DTYPE: &'static str = $dtype;
+
+            fn put(self, out: &mut Vec<u8>) {
+                out.extend(self.to_le_bytes());
+            }
+        })*
+    };
+}
+
+stored! {
+    f16, "<f2"; f32, "<f4"; f64, "<f8";
+    i8, "|i1"; i16, "<i2"; i32, "<i4"; i64, "<i8";
+    u8, "|u1"; u16, "<u2"; u32, "<u4"; u64, "<u8";
+}
+
+/// What an array is read as.
+pub trait Element: Sized {
+    /// The accepted types, in words.
+    const ACCEPTED: &'static str;
+    /// Whether floats are among them.
+    const FLOATS: bool;
+
+    /// The element that is stored as this number; `None` below the smallest.
+    fn of(number: Number) -> Option<Self>;
 }
 
 /// A real number, rounded to f32: of type f16, f32, f64, or an integer of any size.
@@ -22,14 +48,13 @@ pub struct Real(pub f32);
 
 impl Element for Real {
     const ACCEPTED: &'static str = "f16, f32, f64 or an integer type";
-}
+    const FLOATS: bool = true;
 
-impl Deserialize for Real {
-    type TypeReader = RealReader;
-
-    fn reader(dtype: &DType) -> Result<RealReader, DTypeError> {
-        // The error is that of a type that is accepted.
-        Scalar::from_dtype(dtype).map_or_else(|| f32::reader(dtype).map(Scalar::F32), Ok).map(RealReader)
+    fn of(number: Number) -> Option<Self> {
+        Some(match number {
+            Number::Float(value) => Self(value as f32),
+            Number::Whole(value) => Self(value as f32),
+        })
     }
 }
 
@@ -39,102 +64,65 @@ pub struct Index(pub u64);
 
 impl Element for Index {
     const ACCEPTED: &'static str = "an integer type (`.astype(\"u4\")`)";
-}
+    const FLOATS: bool = false;
 
-impl Deserialize for Index {
-    type TypeReader = IndexReader;
-
-    fn reader(dtype: &DType) -> Result<IndexReader, DTypeError> {
-        let whole = Scalar::from_dtype(dtype).filter(|scalar| !scalar.is_float());
-        whole.map_or_else(|| u64::reader(dtype).map(Scalar::U64), Ok).map(IndexReader)
-    }
-}
-
-/// Reads [`Real`].
-pub struct RealReader(Scalar);
-
-impl TypeRead for RealReader {
-    type Value = Real;
-
-    fn read_one<R: Read>(&self, bytes: R) -> io::Result<Real> {
-        Ok(Real(match self.0.read(bytes)? {
-            Number::Float(value) => value as f32,
-            Number::Whole(value) => value as f32,
-        }))
-    }
-}
-
-/// Reads [`Index`].
-pub struct IndexReader(Scalar);
-
-impl TypeRead for IndexReader {
-    type Value = Index;
-
-    fn read_one<R: Read>(&self, bytes: R) -> io::Result<Index> {
-        match self.0.read(bytes)? {
-            Number::Whole(value) => u64::try_from(value).map(Index).ok(),
+    fn of(number: Number) -> Option<Self> {
+        match number {
+            Number::Whole(value) => u64::try_from(value).ok().map(Self),
             Number::Float(_) => None,
         }
-        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidData, "a number below 0"))
     }
 }
 
 /// A number as it is stored. Both kinds hold all values of their types exactly.
-enum Number {
+pub enum Number {
     Float(f64),
     Whole(i128),
 }
 
-macro_rules! scalars {
-    ($($variant:ident $type:ty => $number:ident as $wide:ty),* $(,)?) => {
-        /// A reader of one of the types of numbers.
-        enum Scalar {
-            $($variant(<$type as Deserialize>::TypeReader)),*
-        }
-
-        impl Scalar {
-            /// The reader of a type, if it is a type of numbers.
-            fn from_dtype(dtype: &DType) -> Option<Self> {
-                $(if let Ok(reader) = <$type>::reader(dtype) {
-                    return Some(Self::$variant(reader));
-                })*
-                None
-            }
-
-            fn read(&self, bytes: impl Read) -> io::Result<Number> {
-                match self {
-                    $(Self::$variant(reader) => reader.read_one(bytes).map(|v| Number::$number(<$wide>::from(v)))),*
-                }
-            }
-        }
-    };
+/// The type in which an array's numbers are stored.
+pub struct Dtype {
+    kind: u8,
+    /// Bytes of a number.
+    pub size: usize,
+    has_high_byte_first: bool,
 }
 
-scalars! {
-    F32 f32 => Float as f64,
-    F64 f64 => Float as f64,
-    F16 f16 => Float as f64,
-    I64 i64 => Whole as i128,
-    I32 i32 => Whole as i128,
-    I16 i16 => Whole as i128,
-    I8 i8 => Whole as i128,
-    U64 u64 => Whole as i128,
-    U32 u32 => Whole as i128,
-    U16 u16 => Whole as i128,
-    U8 u8 => Whole as i128,
-}
+impl Dtype {
+    /// Reads NumPy's name of a type, such as `<f4`, if it is one of numbers.
+    pub fn parse(name: &str) -> Option<Self> {
+        let &[order @ (b'<' | b'>' | b'|'), kind, size] = name.as_bytes() else { return None };
+        let is_known = matches!((kind, size), (b'i' | b'u', b'1' | b'2' | b'4' | b'8') | (b'f', b'2' | b'4' | b'8'));
+        is_known.then_some(Self { kind, size: usize::from(size - b'0'), has_high_byte_first: order == b'>' })
+    }
 
-impl Scalar {
-    const fn is_float(&self) -> bool {
-        matches!(self, Self::F16(_) | Self::F32(_) | Self::F64(_))
+    pub fn is_float(&self) -> bool {
+        self.kind == b'f'
+    }
+
+    /// Reads the next number.
+    pub fn read(&self, bytes: &mut impl Read) -> io::Result<Number> {
+        let mut all = [0; 8];
+        let stored = &mut all[..self.size];
+        bytes.read_exact(stored)?;
+        if self.has_high_byte_first {
+            stored.reverse();
+        }
+        let bits = u64::from_le_bytes(all);
+        Ok(match (self.kind, self.size) {
+            (b'f', 2) => Number::Float(f16::from_bits(bits as u16).into()),
+            (b'f', 4) => Number::Float(f32::from_bits(bits as u32).into()),
+            (b'f', _) => Number::Float(f64::from_bits(bits)),
+            (b'u', _) => Number::Whole(bits.into()),
+            // The sign is the highest of the stored bits.
+            (_, size) => Number::Whole((bits.cast_signed() << (64 - 8 * size) >> (64 - 8 * size)).into()),
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use std::path::Path;
-
-    use npyz::{AutoSerialize, Serialize};
 
     use super::*;
     use crate::io::npy::{self, ArrayStream};
@@ -143,10 +131,17 @@ mod tests {
         Ok(ArrayStream::<T, _>::new(bytes, bytes.len() as u64, Path::new("x.npy"), "data")?.into_array()?.data)
     }
 
-    fn bytes<T: AutoSerialize + Serialize>(values: [T; 2]) -> Vec<u8> {
+    fn bytes<T: Stored>(values: [T; 2]) -> Vec<u8> {
         let mut bytes = Vec::new();
         npy::write_to(&mut bytes, Path::new("memory"), &[2], values).unwrap();
         bytes
+    }
+
+    /// The array with another type of the same size.
+    fn renamed(mut array: Vec<u8>, from: &str, to: &str) -> Vec<u8> {
+        let at = array.windows(3).position(|name| name == from.as_bytes()).unwrap();
+        array[at..at + 3].copy_from_slice(to.as_bytes());
+        array
     }
 
     #[test]
@@ -173,18 +168,19 @@ mod tests {
             }
         }
         // The other order of bytes, as NumPy writes it for `>f8`.
-        let mut big = bytes([1.0_f64, 100.0]);
+        let mut big = renamed(bytes([1.0_f64, 100.0]), "<f8", ">f8");
         let end = big.len();
-        let at = big.windows(3).position(|b| b == b"<f8").unwrap();
-        big[at] = b'>';
         big[end - 16..end - 8].reverse();
         big[end - 8..].reverse();
         assert_eq!(parse::<Real>(&big).unwrap(), [Real(1.0), Real(100.0)]);
+        for low in [bytes([-128_i8, -1]), bytes([-128_i16, -1]), bytes([-128_i32, -1]), bytes([-128_i64, -1])] {
+            assert_eq!(parse::<Real>(&low).unwrap(), [Real(-128.0), Real(-1.0)]);
+        }
     }
 
     #[test]
     fn what_is_no_such_number_is_refused() {
-        let flags = bytes([true, false]);
+        let flags = renamed(bytes([0_u8, 1]), "|u1", "|b1");
         let error = parse::<Real>(&flags).unwrap_err().to_string();
         assert!(error.contains("f16, f32, f64 or an integer type") && error.contains("|b1"), "{error}");
         assert!(parse::<Index>(&flags).is_err());

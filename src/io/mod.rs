@@ -18,17 +18,16 @@ mod mix;
 pub mod npy;
 #[cfg(feature = "files")]
 pub mod npz;
-pub mod part;
 pub mod place;
 mod source;
 #[cfg(feature = "files")]
 mod whole;
 
-pub use atomic::AtomicFile;
+pub use atomic::{AtomicFile, beside};
 #[cfg(feature = "export")]
 pub use cell::cell;
 #[cfg(feature = "files")]
-pub use element::{Element, Index, Real};
+pub use element::{Dtype, Element, Index, Real, Stored};
 #[cfg(feature = "exr")]
 pub use exr::read_exr_depth;
 #[cfg(feature = "synth")]

@@ -1,12 +1,11 @@
-//! NumPy `.npy` arrays, read as streams.
+//! NumPy `.npy` arrays, read as streams. The format is that of NEP 1.
 
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Read, Write};
+use std::io::{self, BufReader, BufWriter, Read, Write};
+use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
-use npyz::{AutoSerialize, NpyHeader, Order, Serialize, TypeRead, WriteOptions, WriterBuilder};
-
-use super::{AtomicFile, Element, Real};
+use super::{AtomicFile, Dtype, Element, Real, Stored};
 use crate::{Error, Result};
 
 /// Longest accepted header, bytes. NumPy's own headers stay below 128 bytes for plain arrays.
@@ -24,36 +23,36 @@ pub struct Array<T> {
 /// An array read element by element.
 pub struct ArrayStream<T: Element, R: Read> {
     reader: R,
-    element: T::TypeReader,
+    dtype: Dtype,
     /// Elements not read yet.
     left: u64,
     shape: Vec<u64>,
     path: PathBuf,
     name: String,
+    element: PhantomData<T>,
 }
 
 impl<T: Element, R: Read> ArrayStream<T, R> {
     /// Starts reading the array `name` of the file `path`. At most `available` bytes are there, header included: a
     /// header that claims more elements is refused.
     pub fn new(mut reader: R, available: u64, path: &Path, name: &str) -> Result<Self> {
-        let place = || format!("array `{name}`");
-        let header = read_header(&mut reader, path, name)?;
-        let header = NpyHeader::from_reader(header.as_slice())
-            .map_err(|e| Error::malformed(path, place(), "a NumPy array", e.to_string()))?;
-        if header.order() != Order::C && header.shape().len() > 1 {
-            return Err(Error::malformed(path, place(), "C order (numpy.ascontiguousarray)", "Fortran order"));
+        let wrong =
+            |expected: String, found: String| Error::malformed(path, format!("array `{name}`"), expected, found);
+        let header = read_header(&mut reader).map_err(|found| wrong("a NumPy array header".into(), found))?;
+        let Header { dtype: found, is_fortran, shape } = Header::parse(&header)
+            .ok_or_else(|| wrong("a NumPy array header".into(), header.chars().take(80).collect()))?;
+        if is_fortran && shape.len() > 1 {
+            return Err(wrong("C order (numpy.ascontiguousarray)".into(), "Fortran order".into()));
         }
-        let shape = header.shape().to_vec();
-        let found = header.dtype().descr();
-        let bytes = header.dtype().num_bytes().unwrap_or(0) as u64;
-        let claimed = header.len().checked_mul(bytes);
-        if claimed.is_none_or(|c| c > available) {
+        let dtype = Dtype::parse(found.trim_matches('\'')).filter(|dtype| T::FLOATS || !dtype.is_float());
+        let dtype = dtype.ok_or_else(|| wrong(format!("dtype {}", T::ACCEPTED), format!("dtype {found}")))?;
+        let left = shape.iter().product::<u64>();
+        if left.checked_mul(dtype.size as u64).is_none_or(|claimed| claimed > available) {
             let expected = format!("at most the {available} bytes that are stored");
-            return Err(Error::malformed(path, place(), expected, format!("shape {shape:?} of {found}")));
+            return Err(wrong(expected, format!("shape {shape:?} of {found}")));
         }
-        let element = T::reader(&header.dtype())
-            .map_err(|_| Error::malformed(path, place(), format!("dtype {}", T::ACCEPTED), format!("dtype {found}")))?;
-        Ok(Self { reader, element, left: header.len(), shape, path: path.to_path_buf(), name: name.to_string() })
+        let (path, name) = (path.to_path_buf(), name.to_string());
+        Ok(Self { reader, dtype, left, shape, path, name, element: PhantomData })
     }
 
     /// Extent along each axis.
@@ -78,13 +77,14 @@ impl<T: Element, R: Read> ArrayStream<T, R> {
             let expected = format!("data of shape {:?}", self.shape);
             Error::malformed(&self.path, format!("array `{}`", self.name), expected, found)
         };
-        let reason = |e: std::io::Error| match e.kind() {
-            std::io::ErrorKind::UnexpectedEof => "the end of the file".into(),
+        let reason = |e: io::Error| match e.kind() {
+            io::ErrorKind::UnexpectedEof => "the end of the file".into(),
             _ => e.to_string(),
         };
         if self.left > 0 {
             self.left -= 1;
-            return self.element.read_one(&mut self.reader).map(Some).map_err(|e| wrong(reason(e)));
+            let number = self.dtype.read(&mut self.reader).map_err(|e| wrong(reason(e)))?;
+            return T::of(number).map(Some).ok_or_else(|| wrong("a number below 0".into()));
         }
         // An archive's reader checks the checksum only when it reaches the end.
         match self.reader.read(&mut [0]) {
@@ -122,36 +122,50 @@ fn check_shape(path: &Path, name: &str, shape: &[u64], expected: &[Option<u64>])
     Err(Error::malformed(path, format!("array `{name}`"), expected, format!("shape {shape:?}")))
 }
 
-/// Reads the header's bytes, and refuses those on which the parser could overflow or recurse deeply.
-fn read_header(reader: &mut impl Read, path: &Path, name: &str) -> Result<Vec<u8>> {
-    let bad = |found: &str| Error::malformed(path, format!("array `{name}`"), "a NumPy array header", found);
-    let mut header = vec![0; 10];
-    reader.read_exact(&mut header).map_err(|_| bad("the end of the data"))?;
-    if !header.starts_with(b"\x93NUMPY") {
-        return Err(bad(&format!("{:?}", header[..6].escape_ascii().to_string())));
+/// Reads the header's text. An error is what was found.
+fn read_header(reader: &mut impl Read) -> std::result::Result<String, String> {
+    let ended = |_| "the end of the data".to_string();
+    let mut start = [0; 8];
+    reader.read_exact(&mut start).map_err(ended)?;
+    if !start.starts_with(b"\x93NUMPY") {
+        return Err(format!("{:?}", start[..6].escape_ascii().to_string()));
     }
-    let length = if header[6] == 1 {
-        usize::from(u16::from_le_bytes([header[8], header[9]]))
-    } else {
-        header.resize(12, 0);
-        reader.read_exact(&mut header[10..]).map_err(|_| bad("the end of the data"))?;
-        u32::from_le_bytes([header[8], header[9], header[10], header[11]]) as usize
-    };
+    // Version 1.0 has two bytes for the length, later ones have four.
+    let mut length = [0; 4];
+    reader.read_exact(&mut length[..if start[6] == 1 { 2 } else { 4 }]).map_err(ended)?;
+    let length = u32::from_le_bytes(length) as usize;
     if length > MAX_HEADER {
-        return Err(bad(&format!("a header of {length} bytes")));
+        return Err(format!("a header of {length} bytes"));
     }
-    let start = header.len();
-    header.resize(start + length, 0);
-    reader.read_exact(&mut header[start..]).map_err(|_| bad("the end of the data"))?;
-    let text = &header[start..];
-    let brackets = text.iter().filter(|b| b"([{".contains(b)).count();
-    let shape_at = text.iter().position(|&b| b == b'(').unwrap_or(0);
-    let digits = text[shape_at..].iter().filter(|b| b.is_ascii_digit()).count();
-    // A dictionary with one tuple has two brackets. With at most 18 digits, a shape's product stays below 2^64.
-    if brackets > 2 || digits > 18 {
-        return Err(bad("a nested or oversized header"));
+    let mut text = vec![0; length];
+    reader.read_exact(&mut text).map_err(ended)?;
+    Ok(String::from_utf8_lossy(&text).replace('"', "'"))
+}
+
+/// What a header's text states: a dictionary of Python with three keys.
+struct Header<'a> {
+    /// Name of the type, in quotes, or what else stands there.
+    dtype: &'a str,
+    is_fortran: bool,
+    shape: Vec<u64>,
+}
+
+impl<'a> Header<'a> {
+    fn parse(text: &'a str) -> Option<Self> {
+        let value = |key: &str| Some(text.split_once(key)?.1.trim_start().strip_prefix(':')?.trim_start());
+        let until_comma = |value: &'a str| value.split([',', '}']).next().map(str::trim_end);
+        let shape = value("'shape'")?.strip_prefix('(')?.split_once(')')?.0;
+        // Their product stays below 2^64.
+        if shape.bytes().filter(u8::is_ascii_digit).count() > 18 {
+            return None;
+        }
+        let extents = shape.split(',').map(str::trim).filter(|extent| !extent.is_empty());
+        Some(Self {
+            dtype: until_comma(value("'descr'")?)?,
+            is_fortran: until_comma(value("'fortran_order'")?)? == "True",
+            shape: extents.map(|extent| extent.parse().ok()).collect::<Option<_>>()?,
+        })
     }
-    Ok(header)
 }
 
 /// Starts reading a `.npy` file.
@@ -161,26 +175,46 @@ pub fn stream<T: Element>(path: &Path) -> Result<ArrayStream<T, BufReader<File>>
     ArrayStream::new(BufReader::new(file), available, path, "data")
 }
 
+/// Writes the header of an array.
+pub fn write_header<T: Stored>(out: &mut impl Write, shape: &[u64]) -> io::Result<()> {
+    let extents: String = shape.iter().map(|extent| format!("{extent}, ")).collect();
+    let text = format!("{{'descr': '{}', 'fortran_order': False, 'shape': ({extents}), }}", T::DTYPE);
+    // With the ten bytes before the text and the end of its line, a multiple of 64.
+    let length = (text.len() + 11).next_multiple_of(64) - 10;
+    out.write_all(b"\x93NUMPY\x01\0")?;
+    out.write_all(&(length as u16).to_le_bytes())?;
+    writeln!(out, "{text:width$}", width = length - 1)
+}
+
 /// Writes `data` as an array of `shape` to any stream.
-pub fn write_to<T: AutoSerialize + Serialize>(
+pub fn write_to<T: Stored>(
     out: impl Write,
     path: &Path,
     shape: &[u64],
     data: impl IntoIterator<Item = T>,
 ) -> Result<()> {
-    let failed = || Error::io(path, "cannot write");
-    let mut writer =
-        WriteOptions::new().default_dtype().shape(shape).writer(BufWriter::new(out)).begin_nd().map_err(failed())?;
-    writer.extend(data).map_err(failed())?;
-    writer.finish().map_err(failed())
+    let mut out = BufWriter::new(out);
+    let write = || {
+        write_header::<T>(&mut out, shape)?;
+        let (mut count, mut bytes) = (0_u64, Vec::new());
+        for value in data {
+            bytes.clear();
+            value.put(&mut bytes);
+            out.write_all(&bytes)?;
+            count += 1;
+        }
+        out.flush()?;
+        if count == shape.iter().product::<u64>() {
+            Ok(())
+        } else {
+            Err(io::Error::other(format!("{count} for {shape:?}")))
+        }
+    };
+    write().map_err(Error::io(path, "cannot write"))
 }
 
 /// Writes a `.npy` file.
-pub fn write<T: AutoSerialize + Serialize>(
-    path: &Path,
-    shape: &[u64],
-    data: impl IntoIterator<Item = T>,
-) -> Result<()> {
+pub fn write<T: Stored>(path: &Path, shape: &[u64], data: impl IntoIterator<Item = T>) -> Result<()> {
     let mut file = AtomicFile::create(path)?;
     write_to(&mut file, path, shape, data)?;
     file.commit()
@@ -197,7 +231,7 @@ mod tests {
     }
 
     fn parse(bytes: &[u8]) -> Result<Array<f32>> {
-        ArrayStream::new(bytes, bytes.len() as u64, Path::new("x.npy"), "data")?.into_array()
+        ArrayStream::new(bytes, bytes.len() as u64, Path::new("x.npy"), "data")?.into_reals()
     }
 
     #[test]
@@ -227,10 +261,18 @@ mod tests {
     }
 
     #[test]
-    fn another_dtype_is_named() {
-        let mut bytes = Vec::new();
-        write_to(&mut bytes, Path::new("memory"), &[1], [1_i64]).unwrap();
-        let error = parse(&bytes).unwrap_err().to_string();
-        assert!(error.contains("f32") && error.contains("i8"), "{error}");
+    fn headers_are_read_as_numpy_and_others_write_them() {
+        let parsed = |text: &str| Header::parse(text).map(|h| (h.dtype.to_string(), h.is_fortran, h.shape));
+        let of = |dtype: &str, shape: &[u64]| Some((dtype.to_string(), false, shape.to_vec()));
+        assert_eq!(parsed("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }"), of("'<f4'", &[2, 3]));
+        assert_eq!(parsed("{'shape':(5,),'fortran_order':False , 'descr' : '|u1'}\n"), of("'|u1'", &[5]));
+        assert_eq!(parsed("{'descr': '<f4', 'fortran_order': False, 'shape': (), }"), of("'<f4'", &[]));
+        assert!(parsed("{'descr': '>f8', 'fortran_order': True, 'shape': (2, 3)}").unwrap().1);
+        let records = "{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': (2,), }";
+        assert_eq!(Dtype::parse(Header::parse(records).unwrap().dtype).map(|dtype| dtype.size), None);
+        for shape in ["(-1,)", "(1.5,)", "(x,)", "[2]", "(2", "(1000000000, 1000000000)"] {
+            assert_eq!(parsed(&format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}")), None);
+        }
+        assert_eq!(parsed("{'fortran_order': False, 'shape': (2,), }"), None);
     }
 }

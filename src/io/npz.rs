@@ -4,13 +4,12 @@ use std::fs::File;
 use std::io::{self, BufReader, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use npyz::{AutoSerialize, Serialize};
 use zip::read::ZipFile;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::npy::{self, Array, ArrayStream};
-use super::{AtomicFile, Element};
+use super::{AtomicFile, Element, Stored};
 use crate::{Error, Result};
 
 /// An archive opened for reading. To stream several members at the same time, open it once for each.
@@ -132,12 +131,7 @@ impl NpzWriter {
     }
 
     /// Writes an array of `shape` as member `NAME.npy`.
-    pub fn array<T: AutoSerialize + Serialize>(
-        &mut self,
-        name: &str,
-        shape: &[u64],
-        data: impl IntoIterator<Item = T>,
-    ) -> Result<()> {
+    pub fn array<T: Stored>(&mut self, name: &str, shape: &[u64], data: impl IntoIterator<Item = T>) -> Result<()> {
         let path = self.path.clone();
         npy::write_to(self.member(name)?, &path, shape, data)
     }

@@ -59,8 +59,6 @@ pub use self::{
     report::{NamedCandidate, NamedStep, Report},
 };
 
-use derive_setters::Setters;
-
 use crate::posterior::Information;
 
 /// What more precision at one vertex is worth, given P and ΔP, both symmetric 3×3: xx, xy, xz, yy, yz, zz, in
@@ -118,27 +116,29 @@ pub enum Rescoring {
     All,
 }
 
-/// Settings of a ranking.
-#[derive(Debug, Clone, Copy, PartialEq, Setters)]
-#[non_exhaustive]
-pub struct Settings {
-    /// Number of views to take.
-    pub take: usize,
-    /// What a view is worth.
-    pub gain: Gain,
-    /// Number of pixels of a candidate whose rays are traced; all of a smaller image.
-    ///
-    /// The gain's noise falls with it, and its bias: a vertex that no ray of the sample meets gains nothing, one that a
-    /// ray meets gains as if a whole neighbourhood of pixels met it.
-    pub pixels: u64,
-    /// Seed of pixels and jitter, the same for all candidates.
-    pub seed: u64,
-    /// Which gains are found anew after a view was taken.
-    pub rescoring: Rescoring,
-    /// Cells per axis of the occupancy grid that lets rays of a volume skip empty space.
-    pub occupancy: usize,
-    /// Bytes for what candidates add, kept from step to step; of others the rays are traced again.
-    pub memory: usize,
+setters! {
+    /// Settings of a ranking.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    #[non_exhaustive]
+    pub struct Settings {
+        /// Number of views to take.
+        pub take: usize,
+        /// What a view is worth.
+        pub gain: Gain,
+        /// Number of pixels of a candidate whose rays are traced; all of a smaller image.
+        ///
+        /// The gain's noise falls with it, and its bias: a vertex that no ray of the sample meets gains nothing, one
+        /// that a ray meets gains as if a whole neighbourhood of pixels met it.
+        pub pixels: u64,
+        /// Seed of pixels and jitter, the same for all candidates.
+        pub seed: u64,
+        /// Which gains are found anew after a view was taken.
+        pub rescoring: Rescoring,
+        /// Cells per axis of the occupancy grid that lets rays of a volume skip empty space.
+        pub occupancy: usize,
+        /// Bytes for what candidates add, kept from step to step; of others the rays are traced again.
+        pub memory: usize,
+    }
 }
 
 impl Default for Settings {

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use derive_setters::Setters;
 use rayon::prelude::*;
 
 use super::evidence::{Blank, Evidence, Viewer};
@@ -72,25 +71,22 @@ impl Ranking {
     }
 }
 
-/// Ranks candidates for the next photograph.
-#[derive(Setters)]
-#[must_use]
-pub struct NextView<'a> {
-    #[setters(skip)]
-    model: &'a dyn Model,
-    #[setters(skip)]
-    field: &'a UncertaintyField,
-    #[setters(skip)]
-    candidates: &'a [Camera],
-    /// The cameras of the images that were taken, for [`Gain::Coverage`].
-    training: &'a [Camera],
-    /// Stands for the log det or trace of a vertex. It must not grow with P, or lazy and full rescoring may differ.
-    #[setters(strip_option)]
-    vertex_gain: Option<VertexGain<'a>>,
-    /// Settings.
-    settings: Settings,
-    /// Receives progress and can stop the work.
-    monitor: &'a dyn Monitor,
+setters! {
+    /// Ranks candidates for the next photograph.
+    #[must_use]
+    pub struct NextView<'a> {
+        model: &'a dyn Model as skip,
+        field: &'a UncertaintyField as skip,
+        candidates: &'a [Camera] as skip,
+        /// The cameras of the images that were taken, for [`Gain::Coverage`].
+        training: &'a [Camera],
+        /// Set by [`NextView::vertex_gain`].
+        vertex_gain: Option<VertexGain<'a>> as skip,
+        /// Settings.
+        settings: Settings,
+        /// Receives progress and can stop the work.
+        monitor: &'a dyn Monitor,
+    }
 }
 
 impl<'a> NextView<'a> {
@@ -98,6 +94,12 @@ impl<'a> NextView<'a> {
     pub fn new(model: &'a dyn Model, field: &'a UncertaintyField, candidates: &'a [Camera]) -> Self {
         let settings = Settings::default();
         Self { model, field, candidates, training: &[], vertex_gain: None, settings, monitor: &Silent }
+    }
+
+    /// Stands for the log det or trace of a vertex. It must not grow with P, or lazy and full rescoring may differ.
+    pub fn vertex_gain(mut self, gain: VertexGain<'a>) -> Self {
+        self.vertex_gain = Some(gain);
+        self
     }
 
     /// Takes views until there are enough. If the monitor asks to stop, those taken so far are returned.

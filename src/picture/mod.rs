@@ -1,11 +1,9 @@
-//! Pictures for readers: labelled panels as PNG, moving ones, and plots as SVG.
+//! Pictures for readers: labelled panels as PNG, and plots as SVG.
 
-mod animation;
 mod lettering;
 mod panel;
 mod plot;
 
-pub use animation::write_animation;
 pub use panel::{Bar, Panel, color_panel, draw_sheet, scalar_panel, write_noted_sheet, write_sheet};
 pub(crate) use panel::{is_own_sheet, stage_sheet};
 pub use plot::{Curve, write_plot};

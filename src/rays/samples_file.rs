@@ -17,11 +17,10 @@ use std::io::{BufReader, Write};
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
-use npyz::{AutoSerialize, DType, WriteOptions, WriterBuilder};
 use zip::read::ZipFile;
 
 use super::Gathered;
-use crate::io::npy::ArrayStream;
+use crate::io::npy::{ArrayStream, write_header};
 use crate::io::npz::{NpzReader, NpzWriter};
 use crate::io::{AtomicFile, Index, Real};
 use crate::monitor::{Monitor, check};
@@ -84,24 +83,14 @@ impl SamplesWriter {
     pub fn finish(self, rays_total: u64, training_pixels: u64) -> Result<()> {
         let Self { target, parts, samples: n } = self;
         let mut npz = NpzWriter::create(&target)?;
-        let float = f32::default_dtype();
-        let members: [(&str, &[u64], DType); 4] = [
-            ("positions", &[n, 3], float.clone()),
-            ("jacobian", &[n, 3, 3], float.clone()),
-            ("ray", &[n], u64::default_dtype()),
-            ("weight", &[n], float),
-        ];
-        for (part, (name, shape, dtype)) in parts.into_iter().zip(members) {
+        let members: [(&str, &[u64]); 4] =
+            [("positions", &[n, 3]), ("jacobian", &[n, 3, 3]), ("ray", &[n]), ("weight", &[n])];
+        for (part, (name, shape)) in parts.into_iter().zip(members) {
             let failed = || Error::io(&target, "cannot write");
             let (mut data, _removed_at_the_end) = part.into_reader().map_err(failed())?;
             let member = npz.member(name)?;
-            WriteOptions::new_header_only()
-                .dtype(dtype)
-                .shape(shape)
-                .writer(&mut *member)
-                .write_header_only()
-                .map_err(failed())?;
-            std::io::copy(&mut data, member).map_err(failed())?;
+            let header = if name == "ray" { write_header::<u64> } else { write_header::<f32> };
+            header(member, shape).and_then(|()| std::io::copy(&mut data, member)).map_err(failed())?;
         }
         npz.array("rays_total", &[], [rays_total as i64])?;
         npz.array("training_pixels", &[], [training_pixels as i64])?;

@@ -4,7 +4,6 @@ use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use derive_setters::Setters;
 use glam::Vec3;
 
 use super::training_args::TrainingArgs;
@@ -26,52 +25,49 @@ const FRAMES_OF_SPLATS: &str = "splats in a frame that their training normalised
                                 dataparser_transforms.json as --cameras; gsplat's), with the axes of glTF, or cameras \
                                 whose cx and cy are missing";
 
-/// Everything that a user can ask of a run of some model.
-#[derive(Setters)]
-#[non_exhaustive]
-pub struct Session {
-    #[setters(skip)]
-    views: Views,
-    #[setters(skip)]
-    cameras: Vec<Camera>,
-    #[setters(skip)]
-    writer: RefCell<Option<SamplesWriter>>,
-    /// Which pixels of each camera the model was trained on, if not all; by default, as the frames' masks say.
-    masks: Vec<Option<Mask>>,
-    /// Checksum of the model's content, if known.
-    checksum: Option<u32>,
-    /// What the field covers; `None` for what the model does.
-    domain: Option<Domain>,
-    /// Which rays are drawn, and how they are differentiated.
-    rays: RaySettings,
-    /// What lay behind the scene in training, if the user names it. For splats a file beside them may state it, or
-    /// images may fit white or black better; else it is the background of `rays`.
-    background: Option<Vec3>,
-    /// The file of the model, beside which others may lie.
-    model_file: Option<PathBuf>,
-    /// The grid on which information is summed. `choices` decide on its scale, level, covariance and sums.
-    grid: GridSettings,
-    /// What was chosen, and what the field is for.
-    choices: Choices,
-    /// Which rays are drawn, and when the run ends.
-    goal: Goal,
-    /// Where the state is saved.
-    checkpoint: Option<Checkpoint>,
-    /// Images that the model is compared with, for the deviation of depth.
-    images: Option<TrainingImages>,
-    /// Where the samples are written.
-    dump: Option<PathBuf>,
-    /// Whether what skipped samples and derivatives cost is measured.
-    audit: bool,
-    /// Whether cameras are taken although the model does not show their images.
-    force: bool,
-    /// Whether the model's coordinates were chosen for a camera file, which is a likely cause of seeing little.
-    has_chosen_coordinates: bool,
-    /// Whether the angle of view was given, which is another.
-    has_given_fov: bool,
-    /// What the field is computed from, for people.
-    #[setters(skip)]
-    source: String,
+setters! {
+    /// Everything that a user can ask of a run of some model.
+    #[non_exhaustive]
+    pub struct Session {
+        views: Views as skip,
+        cameras: Vec<Camera> as skip,
+        writer: RefCell<Option<SamplesWriter>> as skip,
+        /// Which pixels of each camera the model was trained on, if not all; by default, as the frames' masks say.
+        masks: Vec<Option<Mask>>,
+        /// Checksum of the model's content, if known.
+        checksum: Option<u32>,
+        /// What the field covers; `None` for what the model does.
+        domain: Option<Domain>,
+        /// Which rays are drawn, and how they are differentiated.
+        rays: RaySettings,
+        /// What lay behind the scene in training, if the user names it. For splats a file beside them may state it, or
+        /// images may fit white or black better; else it is the background of `rays`.
+        background: Option<Vec3>,
+        /// The file of the model, beside which others may lie.
+        model_file: Option<PathBuf>,
+        /// The grid on which information is summed. `choices` decide on its scale, level, covariance and sums.
+        grid: GridSettings,
+        /// What was chosen, and what the field is for.
+        choices: Choices,
+        /// Which rays are drawn, and when the run ends.
+        goal: Goal,
+        /// Where the state is saved.
+        checkpoint: Option<Checkpoint>,
+        /// Images that the model is compared with, for the deviation of depth.
+        images: Option<TrainingImages>,
+        /// Where the samples are written.
+        dump: Option<PathBuf>,
+        /// Whether what skipped samples and derivatives cost is measured.
+        audit: bool,
+        /// Whether cameras are taken although the model does not show their images.
+        force: bool,
+        /// Whether the model's coordinates were chosen for a camera file, which is a likely cause of seeing little.
+        has_chosen_coordinates: bool,
+        /// Whether the angle of view was given, which is another.
+        has_given_fov: bool,
+        /// What the field is computed from, for people.
+        source: String as skip,
+    }
 }
 
 /// A run that was checked, before its first ray.

@@ -3,8 +3,8 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use crate::io::part;
-use crate::io::place::{destination, folder_of};
+use crate::io::beside;
+use crate::io::place::destination;
 use crate::{Error, Result};
 
 /// A folder under a temporary name beside its target.
@@ -14,8 +14,8 @@ use crate::{Error, Result};
 pub struct StagedFolder {
     staged: tempfile::TempDir,
     target: PathBuf,
-    /// Says that the folder is no leftover.
-    _lock: File,
+    /// Says that the folder is no leftover, where folders have locks.
+    _lock: Option<File>,
 }
 
 impl StagedFolder {
@@ -31,26 +31,10 @@ impl StagedFolder {
             }
         }
         // As for files: a link stays, and what it points to is replaced.
-        let destination = destination(target)?;
-        let parent = folder_of(&destination);
-        part::clear_leftovers(&destination);
-        let prefix = part::prefix(&destination);
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(&prefix).suffix(part::SUFFIX);
-        #[cfg(unix)]
-        {
-            // As for files: the usual permissions, under the umask.
-            use std::os::unix::fs::PermissionsExt;
-            builder.permissions(std::fs::Permissions::from_mode(0o777));
-        }
-        let make = || {
-            let staged = builder.tempdir_in(parent)?;
-            // Windows opens no folders, and has no such locks either.
-            let lock = if cfg!(unix) { File::open(staged.path())? } else { tempfile::tempfile()? };
-            Ok((staged, lock))
-        };
-        let made = part::locked(make, |(_, lock)| lock);
-        let (staged, lock) = made.map_err(Error::io(target, "cannot create the folder"))?;
+        let destination = destination(target);
+        let staged = beside(&destination, 0o777, |builder, parent| builder.tempdir_in(parent))
+            .map_err(Error::io(target, "cannot create the folder"))?;
+        let lock = File::open(staged.path()).ok().filter(|folder| folder.try_lock().is_ok());
         Ok(Self { staged, target: destination, _lock: lock })
     }
 

@@ -1,6 +1,5 @@
 //! Writing of datasets: pictures, depth maps, camera files, and a record of what made them.
 
-use derive_setters::Setters;
 use std::io::{Cursor, Write};
 use std::path::Path;
 
@@ -27,25 +26,26 @@ pub const DEPTH_PNG_SCALE: f64 = 6.5535;
 /// Largest picture: the most that a camera file may state.
 const MAX_PIXELS: u64 = 100_000_000;
 
-/// Settings of a dataset made from a mesh.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Setters)]
-#[non_exhaustive]
-pub struct DatasetSettings {
-    /// Axis of the file that points up.
-    pub up: Up,
-    /// Number of training cameras, at least 1.
-    pub views: u32,
-    /// Half in which they stand; `None` for all around.
-    #[setters(into)]
-    pub hemisphere: Option<Hemisphere>,
-    /// Number of test cameras, which stand all around; at least 1.
-    pub test_views: u32,
-    /// Width and height in pixels.
-    pub resolution: [u32; 2],
-    /// Samples along x and along y of a pixel; a pixel has the square of this number.
-    pub samples_per_side: u32,
-    /// Seed that turns the cameras' spirals and jitters the samples. Mesh, light and texture do not depend on it.
-    pub seed: u64,
+setters! {
+    /// Settings of a dataset made from a mesh.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+    #[non_exhaustive]
+    pub struct DatasetSettings {
+        /// Axis of the file that points up.
+        pub up: Up,
+        /// Number of training cameras, at least 1.
+        pub views: u32,
+        /// Half in which they stand; `None` for all around.
+        pub hemisphere: Option<Hemisphere> as into,
+        /// Number of test cameras, which stand all around; at least 1.
+        pub test_views: u32,
+        /// Width and height in pixels.
+        pub resolution: [u32; 2],
+        /// Samples along x and along y of a pixel; a pixel has the square of this number.
+        pub samples_per_side: u32,
+        /// Seed that turns the cameras' spirals and jitters the samples. Mesh, light and texture do not depend on it.
+        pub seed: u64,
+    }
 }
 
 impl Default for DatasetSettings {

@@ -32,7 +32,6 @@ pub use splats::{Rates, SplatOrigin, SplatSettings, SplatTrainer, box_of_points}
 pub use trainer::{StepReport, Trainer};
 pub use views::{DatasetFiles, Shot};
 
-use derive_setters::Setters;
 use serde::{Deserialize, Serialize};
 
 use crate::field::HashGridConfig;
@@ -48,24 +47,26 @@ pub enum Background {
     Fixed([f32; 3]),
 }
 
-/// Settings of a training run.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Setters)]
-#[non_exhaustive]
-pub struct TrainSettings {
-    /// Size of the field.
-    pub config: HashGridConfig,
-    /// Seed of weights, rays and backgrounds.
-    pub seed: u64,
-    /// Background of the scene.
-    pub background: Background,
-    /// Approximate number of samples per step; the number of rays follows from it.
-    pub samples_per_step: u64,
-    /// Initial learning rate of Adam.
-    pub learning_rate: f32,
-    /// Share of the learning rate that is left at the end. The rate decays exponentially.
-    pub final_rate: f32,
-    /// Factor of the distortion loss; 0 for none.
-    pub distortion: f32,
+setters! {
+    /// Settings of a training run.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    #[non_exhaustive]
+    pub struct TrainSettings {
+        /// Size of the field.
+        pub config: HashGridConfig,
+        /// Seed of weights, rays and backgrounds.
+        pub seed: u64,
+        /// Background of the scene.
+        pub background: Background,
+        /// Approximate number of samples per step; the number of rays follows from it.
+        pub samples_per_step: u64,
+        /// Initial learning rate of Adam.
+        pub learning_rate: f32,
+        /// Share of the learning rate that is left at the end. The rate decays exponentially.
+        pub final_rate: f32,
+        /// Factor of the distortion loss; 0 for none.
+        pub distortion: f32,
+    }
 }
 
 impl Default for TrainSettings {

@@ -169,7 +169,7 @@ fn official_file_has_its_own_index_order() {
     let path = folder.path().join("unc.npy");
     let [dense, _] = fields(Covariance::Trace, 1.0);
     dense.write_official(&path).unwrap();
-    let flat = crate::io::npy::stream::<f32>(&path).unwrap().into_array().unwrap();
+    let flat = crate::io::npy::stream::<crate::io::Real>(&path).unwrap().into_reals().unwrap();
     let m = 32_usize;
     assert_eq!(flat.shape, [(m + 1).pow(3)]);
     // A vertex away from the upper faces has the entry x·M² + y·M + z to itself.

@@ -229,19 +229,12 @@ pub fn parse_frames(text: &str) -> Result<Frames, String> {
 pub fn parse_bytes(text: &str) -> Result<u64, String> {
     let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
     let (number, unit) = text.split_at(split);
-    let factor = match unit.to_ascii_lowercase().as_str() {
-        "" | "b" => 1.0,
-        "kb" => 1e3,
-        "mb" => 1e6,
-        "gb" => 1e9,
-        "tb" => 1e12,
-        "kib" => 1024.0,
-        "mib" => 1024.0 * 1024.0,
-        "gib" => 1024.0 * 1024.0 * 1024.0,
-        "tib" => 1024.0 * 1024.0 * 1024.0 * 1024.0,
-        _ => return Err(format!("`{unit}` is not a unit of memory such as MB, GB, MiB or GiB")),
-    };
-    let bytes = parse_positive(number.trim())? * factor;
+    // Of a name such as MiB, the power is that of its first letter.
+    let name = unit.to_ascii_lowercase().replace("ib", "b");
+    let base = if name.len() < unit.len() { 1024_f64 } else { 1000.0 };
+    let power = if unit.is_empty() { Some(0) } else { ["b", "kb", "mb", "gb", "tb"].iter().position(|u| *u == name) };
+    let power = power.ok_or_else(|| format!("`{unit}` is not a unit of memory such as MB, GB, MiB or GiB"))?;
+    let bytes = parse_positive(number.trim())? * base.powi(power as i32);
     if (1.0..1e18).contains(&bytes) { Ok(bytes as u64) } else { Err("expected from 1 byte to 10^18".into()) }
 }
 

@@ -1,28 +1,21 @@
 //! `render`: pictures of a field and its uncertainty.
 
-mod orbit;
 mod studio;
 
 use std::path::{Path, PathBuf};
 
-use glam::DVec3;
-use image::RgbImage;
-
-use self::orbit::orbit;
 use self::studio::{Cleaned, Studio};
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{
-    CameraOptions, Frames, ModelArgument, count, heading, parse_direction, parse_frames, parse_positive, parse_range,
-};
+use super::options::{CameraOptions, Frames, ModelArgument, heading, parse_frames, parse_positive, parse_range};
 use super::progress::Bars;
 use super::streams::tell;
 use crate::dataset::{Frame, Part};
 use crate::evaluate::{Reading, TrainingViews};
-use crate::geometry::{Camera, MAX_PIXELS, upright};
+use crate::geometry::{Camera, MAX_PIXELS};
 use crate::io::write_exr;
 use crate::monitor::Monitor;
-use crate::picture::{draw_sheet, is_own_sheet, write_animation, write_sheet};
+use crate::picture::{is_own_sheet, write_sheet};
 use crate::render::{RayAverage, RenderedView};
 use crate::session::{OpenedModel, Threshold, image_settings, scaled};
 use crate::uncertainty::{Answers, UncertaintyField};
@@ -71,29 +64,6 @@ pub struct Args {
         help_heading = heading::OUTPUT,
     )]
     resize: Option<f64>,
-
-    /// A picture that moves, `.gif` or `.png`: N views on a circle that starts at the frame. Colour and log10 U, and
-    /// with --threshold the colour of what is left
-    #[arg(
-        long,
-        value_name = "N",
-        value_parser = count::<u32>(2..=720),
-        conflicts_with = "depth_error",
-        help_heading = heading::OUTPUT,
-    )]
-    orbit: Option<u32>,
-
-    /// What is up for --orbit, a direction in scene units [default: as the cameras were held]
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        value_parser = parse_direction,
-        allow_hyphen_values = true,
-        requires = "orbit",
-        help_heading = heading::OUTPUT,
-        hide_short_help = true,
-    )]
-    up: Option<DVec3>,
 
     /// Picture to write, `.png` or `.exr`
     #[arg(short, long, value_name = "OUT", help_heading = heading::OUTPUT)]
@@ -164,14 +134,7 @@ impl Args {
         }
 
         Reading::check(field.facts(), self.ray_average)?;
-        let cameras: Vec<Camera> = match self.orbit {
-            Some(count) => {
-                let others: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
-                let up = upright(&others, self.up)?;
-                orbit(&self.sized(&frames[0].camera)?, up, field.facts().lattice().domain(), count)
-            }
-            None => frames.iter().map(|frame| self.sized(&frame.camera)).collect::<Result<_>>()?,
-        };
+        let cameras: Vec<Camera> = frames.iter().map(|frame| self.sized(&frame.camera)).collect::<Result<_>>()?;
         let pictures = if self.threshold.is_some() { 2 } else { 1 };
         let baked = field.baked(pictures * cameras.iter().map(Camera::pixels).sum::<u64>());
         let space: &dyn Answers = baked.as_ref().map_or(field.space(), |baked| baked);
@@ -212,30 +175,21 @@ impl Args {
             bars,
         };
         bars.begin("rows", cameras.iter().map(|camera| pictures * u64::from(camera.resolution[1])).sum());
-        if self.orbit.is_some() {
-            let frames = (0..cameras.len()).map(|k| self.moment(&studio, k, &cameras[k])).collect::<Result<_>>()?;
-            bars.end();
-            write_animation(&self.output, frames)?;
-        } else {
-            let all = cameras.len();
-            for (done, ((k, camera), path)) in wanted.zip(&cameras).zip(self.outputs()).enumerate() {
-                self.picture(&studio, k, camera, &path).map_err(|error| match error {
-                    Error::Interrupted if done > 0 => Error::InterruptedAfter {
-                        finished: format!("{} holds {done} of {all} frames", self.output.display()),
-                    },
-                    other => other,
-                })?;
-            }
-            bars.end();
+        let all = cameras.len();
+        for (done, ((k, camera), path)) in wanted.zip(&cameras).zip(self.outputs()).enumerate() {
+            self.picture(&studio, k, camera, &path).map_err(|error| match error {
+                Error::Interrupted if done > 0 => Error::InterruptedAfter {
+                    finished: format!("{} holds {done} of {all} frames", self.output.display()),
+                },
+                other => other,
+            })?;
         }
+        bars.end();
         say!("{}", self.output.display())
     }
 
     /// Checks the kind of the output, and makes the folder of several.
     fn check_output(&self) -> Result<()> {
-        if self.frame.are_many() && self.orbit.is_some() {
-            return Err(Error::setting("--orbit", "one frame, from which the circle starts", "several"));
-        }
         if self.frame.are_many() {
             if let Some(path) = self.outputs().into_iter().find(|path| path.exists() && !is_own_sheet(path)) {
                 let expected = "a folder without frames of other programs, which those of `render` would replace";
@@ -243,17 +197,15 @@ impl Args {
             }
             return std::fs::create_dir_all(&self.output).map_err(Error::io(&self.output, "cannot create the folder"));
         }
-        let expected = if self.orbit.is_some() { ["gif", "png"] } else { ["png", "exr"] };
         let extension = self.output.extension().and_then(|e| e.to_str());
-        if extension.is_some_and(|extension| expected.contains(&extension)) {
+        if matches!(extension, Some("png" | "exr")) {
             if extension == Some("exr") && self.range.is_some() {
                 let found = self.output.display().to_string();
                 return Err(Error::setting("--range", "a picture with a colour bar, `.png`", found));
             }
             return Ok(());
         }
-        let expected = expected.map(|extension| format!("`.{extension}`")).join(" or ");
-        Err(Error::extension(&self.output, expected))
+        Err(Error::extension(&self.output, "`.png` or `.exr`"))
     }
 
     /// The files to write, in the order of the frames.
@@ -301,23 +253,6 @@ impl Args {
             (Some(threshold), (view, Some(cleaned))) => threshold.note_pixels(view, cleaned, studio.space, &mut tell),
             _ => Ok(()),
         }
-    }
-
-    /// Picture `k` of a moving one: colour, log10 U, and the colour of what is left by the clean-up.
-    fn moment(&self, studio: &Studio, k: usize, camera: &Camera) -> Result<RgbImage> {
-        let views = studio.views(camera)?;
-        if k == 0 {
-            self.note_pixels(studio, &views)?;
-        }
-        let mut rows = studio.rows("model", camera, &views)?.into_iter();
-        let mut row = rows.next().unwrap_or_default();
-        row.drain(1..row.len() - 1);
-        // Titles that are the same in all pictures keep these of one size.
-        if let Some(panel) = row.last_mut() {
-            panel.title = format!("{} (hatched: never seen)", studio.field.record().scale.quantity());
-        }
-        row.extend(rows.next().into_iter().flatten().next());
-        Ok(draw_sheet(&[row]))
     }
 
     /// The camera at the size of the picture. Says so on stderr if that is a preview.

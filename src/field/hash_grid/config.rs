@@ -1,7 +1,6 @@
 //! Hyper-parameters, named as in instant-ngp (Müller, Evans, Schied, Keller, "Instant Neural Graphics Primitives with a
 //! Multiresolution Hash Encoding", SIGGRAPH 2022, Table 1).
 
-use derive_setters::Setters;
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
@@ -21,19 +20,21 @@ const MAX_OCCUPANCY: usize = 128;
 /// Largest resolution of a level; positions are only f32.
 const MAX_RESOLUTION: f64 = 65_536.0;
 
-/// The configurable part of a hash grid.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Setters)]
-#[non_exhaustive]
-pub struct HashGridConfig {
-    /// log2 of T, the largest number of entries per level; 8 to 22. Smaller tables collide more, larger ones
-    /// leave the caches.
-    pub log2_hashmap_size: u32,
-    /// Cells per axis of the coarsest level.
-    pub base_resolution: u32,
-    /// Ratio of the resolutions of neighbouring levels, 1 to 4.
-    pub per_level_scale: f64,
-    /// Cells per axis of the occupancy grid, a multiple of 4 up to 128.
-    pub occupancy: usize,
+setters! {
+    /// The configurable part of a hash grid.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    #[non_exhaustive]
+    pub struct HashGridConfig {
+        /// log2 of T, the largest number of entries per level; 8 to 22. Smaller tables collide more, larger ones
+        /// leave the caches.
+        pub log2_hashmap_size: u32,
+        /// Cells per axis of the coarsest level.
+        pub base_resolution: u32,
+        /// Ratio of the resolutions of neighbouring levels, 1 to 4.
+        pub per_level_scale: f64,
+        /// Cells per axis of the occupancy grid, a multiple of 4 up to 128.
+        pub occupancy: usize,
+    }
 }
 
 impl Default for HashGridConfig {

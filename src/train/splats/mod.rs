@@ -21,23 +21,24 @@ mod trainer;
 pub use start::{SplatOrigin, box_of_points};
 pub use trainer::SplatTrainer;
 
-use derive_setters::Setters;
 use serde::{Deserialize, Serialize};
 
 use super::{Background, Shot};
 
-/// Settings of a run that trains splats.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Setters)]
-#[non_exhaustive]
-pub struct SplatSettings {
-    /// Seed of first places, order of images, backgrounds and growth.
-    pub seed: u64,
-    /// Background of the scene.
-    pub background: Background,
-    /// Most splats.
-    pub most: usize,
-    /// Adam's first rates.
-    pub rates: Rates,
+setters! {
+    /// Settings of a run that trains splats.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    #[non_exhaustive]
+    pub struct SplatSettings {
+        /// Seed of first places, order of images, backgrounds and growth.
+        pub seed: u64,
+        /// Background of the scene.
+        pub background: Background,
+        /// Most splats.
+        pub most: usize,
+        /// Adam's first rates.
+        pub rates: Rates,
+    }
 }
 
 /// First rates of Adam for each kind of parameter.
