@@ -34,14 +34,6 @@ impl RadianceField for Moved {
     fn suggested_step(&self) -> f64 {
         self.scene.suggested_step()
     }
-
-    fn memory(&self) -> usize {
-        self.scene.memory()
-    }
-
-    fn describe(&self) -> String {
-        "moved".into()
-    }
 }
 
 /// The field of a moved scene. Its cameras moved with it, so the same rays hit the same places.
