@@ -40,7 +40,7 @@ fn words(verdict: Verdict) -> &'static str {
 
 fn look(scene: &scenes::HardScene, seed: u64, gradient: GradientMethod) -> Result<Found> {
     let cameras = scene.cameras();
-    let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: RAYS };
+    let case = Case { field: &scene.field, cameras: &cameras, level: scenes::LEVEL, rays: RAYS };
     let (rays, grid) = case.defaults();
     let rays = rays.seed(seed).gradient(gradient);
     let run = match case.run((rays, grid)) {
@@ -84,7 +84,7 @@ pub fn cases(work: &Work) -> Result<(String, String)> {
     let mut settings = String::new();
     for scene in scenes::all() {
         let cameras = scene.cameras();
-        let (rays, grid) = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: RAYS }.defaults();
+        let (rays, grid) = Case { field: &scene.field, cameras: &cameras, level: scenes::LEVEL, rays: RAYS }.defaults();
         settings = describe(&rays, &grid, &["level"]);
         let found =
             SEEDS.map(|seed| work.row((scene.name, RAYS, seed), || look(&scene, seed, GradientMethod::default())));

@@ -255,7 +255,7 @@ pub fn zoo_scenes() -> impl Iterator<Item = Scene> {
         name: case.name,
         cameras: case.cameras(),
         settings: RaySettings::default().rays(ZOO_RAYS),
-        grid: GridSettings::default().level(case.level),
+        grid: GridSettings::default().level(hard::LEVEL),
         field: Box::new(case.field),
     })
 }

@@ -14,23 +14,15 @@ use octobayes::uncertainty::UncertaintyField;
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 
-/// A field whose matter is moved along an axis by a hat function around a lattice point.
-struct Deformed<'a> {
+/// A field whose matter is moved by displacements of all lattice points.
+struct Moved<'a> {
     field: &'a dyn TrainedField,
     lattice: Lattice,
-    vertex: [u32; 3],
-    by: DVec3,
+    /// x slowest.
+    moves: Vec<DVec3>,
 }
 
-impl Deformed<'_> {
-    fn moved(&self, x: Vec3) -> Vec3 {
-        let Some(u) = self.lattice.coordinates(x) else { return x };
-        let hat = |axis: usize| (1.0 - (u[axis] - f64::from(self.vertex[axis])).abs()).max(0.0);
-        (x.as_dvec3() + self.by * hat(0) * hat(1) * hat(2)).as_vec3()
-    }
-}
-
-impl RadianceField for Deformed<'_> {
+impl RadianceField for Moved<'_> {
     fn bounds(&self) -> Aabb {
         self.field.bounds()
     }
@@ -40,12 +32,23 @@ impl RadianceField for Deformed<'_> {
     }
 
     fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
-        let positions: Vec<Vec3> = positions.iter().map(|&x| self.moved(x)).collect();
+        let moved = |x: &Vec3| {
+            let Some(u) = self.lattice.coordinates(*x) else { return *x };
+            let (cell, offset) = self.lattice.cell(u);
+            let corner = |c: u32| {
+                let weight: f64 =
+                    (0..3).map(|axis| if c >> axis & 1 == 1 { offset[axis] } else { 1.0 - offset[axis] }).product();
+                let point = std::array::from_fn(|axis| cell[axis] + (c >> axis & 1));
+                weight * self.moves[self.lattice.dense_index(point)]
+            };
+            (x.as_dvec3() + (0..8).map(corner).sum::<DVec3>()).as_vec3()
+        };
+        let positions: Vec<Vec3> = positions.iter().map(moved).collect();
         self.field.evaluate(&positions, directions, out);
     }
 }
 
-impl TrainedField for Deformed<'_> {}
+impl TrainedField for Moved<'_> {}
 
 fn tracer(field: &dyn TrainedField, step: f64) -> Tracer<'_> {
     let marcher = Marcher { step, bounds: field.bounds(), occupancy: None, cutoff: 0.0 };
@@ -93,8 +96,10 @@ fn the_variance_is_that_of_rendering_moved_matter_again() {
         let mut sums = vec![0.0; view.pixels.len()];
         for point in points {
             let depths = |by: DVec3| {
-                let deformed = Deformed { field: &ball, lattice, vertex: point, by };
-                let view = render_view(&tracer(&deformed, step), &camera, 0.5, &[], &Silent).unwrap();
+                let mut moves = vec![DVec3::ZERO; lattice.dense_vertices() as usize];
+                moves[lattice.dense_index(point)] = by;
+                let moved = Moved { field: &ball, lattice, moves };
+                let view = render_view(&tracer(&moved, step), &camera, 0.5, &[], &Silent).unwrap();
                 view.pixels.iter().map(|pixel| pixel.expected_depth).collect::<Vec<f64>>()
             };
             let gradients = DVec3::AXES.map(|axis| {
@@ -274,42 +279,6 @@ fn cholesky([xx, xy, xz, yy, yz, zz]: Information) -> glam::DMat3 {
     let f = (zz - c * c - e * e).max(0.0).sqrt();
     glam::DMat3::from_cols(DVec3::new(a, b, c), DVec3::new(0.0, d, e), DVec3::new(0.0, 0.0, f))
 }
-
-/// A field whose matter is moved by displacements of all lattice points.
-struct Moved<'a> {
-    field: &'a dyn TrainedField,
-    lattice: Lattice,
-    /// x slowest.
-    moves: Vec<DVec3>,
-}
-
-impl RadianceField for Moved<'_> {
-    fn bounds(&self) -> Aabb {
-        self.field.bounds()
-    }
-
-    fn suggested_step(&self) -> f64 {
-        self.field.suggested_step()
-    }
-
-    fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
-        let moved = |x: &Vec3| {
-            let Some(u) = self.lattice.coordinates(*x) else { return *x };
-            let (cell, offset) = self.lattice.cell(u);
-            let corner = |c: u32| {
-                let weight: f64 =
-                    (0..3).map(|axis| if c >> axis & 1 == 1 { offset[axis] } else { 1.0 - offset[axis] }).product();
-                let point = std::array::from_fn(|axis| cell[axis] + (c >> axis & 1));
-                weight * self.moves[self.lattice.dense_index(point)]
-            };
-            (x.as_dvec3() + (0..8).map(corner).sum::<DVec3>()).as_vec3()
-        };
-        let positions: Vec<Vec3> = positions.iter().map(moved).collect();
-        self.field.evaluate(&positions, directions, out);
-    }
-}
-
-impl TrainedField for Moved<'_> {}
 
 #[test]
 fn the_papers_scale_has_no_errors_of_depth() {

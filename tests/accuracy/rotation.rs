@@ -34,17 +34,9 @@ impl RadianceField for Moved {
     fn suggested_step(&self) -> f64 {
         self.scene.suggested_step()
     }
-
-    fn memory(&self) -> usize {
-        self.scene.memory()
-    }
 }
 
-impl TrainedField for Moved {
-    fn describe(&self) -> String {
-        "moved".into()
-    }
-}
+impl TrainedField for Moved {}
 
 /// The field of a moved scene. Its cameras moved with it, so the same rays hit the same places.
 fn field(scene: &ClosedForm, angle: f64, shift: DVec3) -> (UncertaintyField, Moved) {

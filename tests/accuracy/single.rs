@@ -9,7 +9,7 @@ use octobayes::render::{Differences, Differentiation, JacobianBuffers, Marcher, 
 
 use crate::compare::{Case, Run, cameras, error, lambda, nothing_left_out};
 use crate::oracle::Derivatives;
-use crate::scenes::{self, CELL, HardScene, surfaces};
+use crate::scenes::{self, CELL, HardScene, LEVEL, surfaces};
 
 fn scene(name: &str) -> HardScene {
     scenes::by_name(name)
@@ -34,17 +34,9 @@ impl RadianceField for BlackBox<'_> {
     fn suggested_step(&self) -> f64 {
         self.0.suggested_step()
     }
-
-    fn memory(&self) -> usize {
-        0
-    }
 }
 
-impl TrainedField for BlackBox<'_> {
-    fn describe(&self) -> String {
-        "black box".into()
-    }
-}
+impl TrainedField for BlackBox<'_> {}
 
 /// An early version lost 39 % of the information here, from rays that pass a step within h with all samples in
 /// empty space.
@@ -52,7 +44,7 @@ impl TrainedField for BlackBox<'_> {
 fn rays_that_pass_a_step_by_are_found_if_the_field_bounds_its_density() {
     let scene = scene("opaque-step");
     let cameras = scene.cameras();
-    let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 40_000 };
+    let case = Case { field: &scene.field, cameras: &cameras, level: LEVEL, rays: 40_000 };
     let (rays, grid) = case.defaults();
     let whole = information(&case.run(nothing_left_out(rays, grid)).unwrap());
     let default = information(&case.run((rays, grid)).unwrap());
@@ -69,7 +61,7 @@ fn rays_that_pass_a_step_by_are_found_if_the_field_bounds_its_density() {
 fn an_opaque_step_depends_on_the_step_of_differences() {
     let scene = scene("opaque-step");
     let cameras = scene.cameras();
-    let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 40_000 };
+    let case = Case { field: &scene.field, cameras: &cameras, level: LEVEL, rays: 40_000 };
     let (rays, grid) = case.defaults();
     let at = |step: f64| {
         let run = case.run((rays.step(Some(step)), grid)).unwrap();
@@ -86,7 +78,7 @@ fn an_opaque_step_depends_on_the_step_of_differences() {
 fn noise_of_half_precision_fades_with_a_larger_step() {
     let scene = scene("half-precision");
     let cameras = scene.cameras();
-    let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 512 };
+    let case = Case { field: &scene.field, cameras: &cameras, level: LEVEL, rays: 512 };
     let (rays, grid) = case.defaults();
     let off = |step: f64| {
         let run = case.run((rays.step(Some(step)), grid)).unwrap();
@@ -103,7 +95,7 @@ fn noise_of_half_precision_fades_with_a_larger_step() {
 fn matter_in_one_cell_moves_the_cells_eight_corners() {
     let scene = scene("one-cell");
     let cameras = scene.cameras();
-    let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 512 };
+    let case = Case { field: &scene.field, cameras: &cameras, level: LEVEL, rays: 512 };
     let run = case.run(case.defaults()).unwrap();
     let n = 33;
     let moved: Vec<usize> = (0..n * n * n).filter(|&i| run.field.sums().unwrap()[i].rays > 0).collect();
@@ -140,8 +132,8 @@ fn two_cameras_alike_are_taken_for_one() {
     let runs = ["one-camera", "two-cameras"].map(|name| {
         let scene = scene(name);
         let cameras = scene.cameras();
-        let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 40_000 };
-        (case.run(case.defaults()).unwrap(), lambda(&scene.field, scene.level))
+        let case = Case { field: &scene.field, cameras: &cameras, level: LEVEL, rays: 40_000 };
+        (case.run(case.defaults()).unwrap(), lambda(&scene.field, LEVEL))
     });
     let sight = DVec3::new(2.6, 0.4, 0.7).normalize();
     let ratio = |(run, lambda): &(Run, f64)| {
@@ -215,7 +207,7 @@ fn grazing_rays_count_if_they_touch_the_box_along_a_line() {
     let all = scene.cameras();
     let seen = |camera: &Camera| {
         let one = [*camera];
-        let case = Case { field: &scene.field, cameras: &one, level: scene.level, rays: 16 };
+        let case = Case { field: &scene.field, cameras: &one, level: LEVEL, rays: 16 };
         case.run(case.defaults()).unwrap().progress.samples > 0
     };
     let found: Vec<bool> = all.iter().map(seen).collect();

@@ -5,12 +5,11 @@
 
 use octobayes::Error;
 use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
-use octobayes::field::TrainedField;
 use octobayes::uncertainty::compare as compare_fields;
 
 use crate::compare::{Case, error, nothing_left_out};
 use crate::oracle::Derivatives;
-use crate::scenes::{self, HardScene, Quantity, Treatment, Verdict};
+use crate::scenes::{self, HardScene, LEVEL, Quantity, Treatment, Verdict};
 
 /// How far a comparison with the oracle may be off.
 struct Limits {
@@ -44,7 +43,7 @@ fn limits(scene: &HardScene) -> Limits {
 /// Compares a case of the zoo on few rays: errors of single vertices do not depend on their number.
 fn agrees_with_the_oracle(scene: &HardScene) {
     let cameras = scene.cameras();
-    let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 1024 };
+    let case = Case { field: &scene.field, cameras: &cameras, level: LEVEL, rays: 1024 };
     let (rays, grid) = case.defaults();
     let run = case.run((rays, grid)).unwrap();
     let whole = case.run(nothing_left_out(rays, grid)).unwrap();
@@ -81,15 +80,15 @@ mod agreement {
     agreement!(surfaces views rays boxes values);
 }
 
-fn settings(scene: &HardScene, rays: u64) -> (RaySettings, GridSettings) {
-    let grid = GridSettings::default().level(scene.level);
+fn settings(rays: u64) -> (RaySettings, GridSettings) {
+    let grid = GridSettings::default().level(LEVEL);
     (RaySettings::default().rays(rays).occupancy(48), grid)
 }
 
 #[test]
 fn every_claim_holds() {
     for scene in scenes::all() {
-        let (rays, grid) = settings(&scene, 4096);
+        let (rays, grid) = settings(4096);
         for claim in &scene.claims {
             let Outcome { field, .. } =
                 Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap();
@@ -105,9 +104,9 @@ fn every_claim_holds() {
 fn the_octree_says_what_the_dense_grid_says() {
     for scene in scenes::all().iter().filter(|s| s.verdict != Verdict::Refused) {
         let cameras = scene.cameras();
-        let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 1024 };
+        let case = Case { field: &scene.field, cameras: &cameras, level: LEVEL, rays: 1024 };
         let dense = case.run(case.defaults()).unwrap().field;
-        let (rays, grid) = settings(scene, 1024);
+        let (rays, grid) = settings(1024);
         let Outcome { field: octree, .. } =
             Estimation::new(&scene.field, &cameras).rays(rays).grid(grid).run().unwrap();
         let largest = compare_fields(&octree, &dense, 20_000, 0).unwrap().in_box.unwrap().max;
@@ -119,7 +118,7 @@ fn the_octree_says_what_the_dense_grid_says() {
 #[test]
 fn a_scene_too_far_from_the_origin_is_refused_before_any_work_is_done() {
     let scene = scenes::by_name("shifted");
-    let (rays, grid) = settings(&scene, 4096);
+    let (rays, grid) = settings(4096);
     let refusal = Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap_err();
     assert!(
         matches!(refusal, Error::Setting { .. }) && refusal.to_string().contains("finite-difference step"),
@@ -134,7 +133,7 @@ fn a_scene_too_far_from_the_origin_is_refused_before_any_work_is_done() {
 #[test]
 fn a_field_that_is_mostly_broken_is_refused_with_a_position() {
     let scene = scenes::by_name("fault-everywhere");
-    let (rays, grid) = settings(&scene, 4096);
+    let (rays, grid) = settings(4096);
     let refusal = Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap_err();
     let Error::NonFinite { dropped, rays, first, .. } = refusal else { panic!("{refusal}") };
     assert!(dropped > rays / 100);
@@ -146,7 +145,7 @@ fn a_field_that_is_mostly_broken_is_refused_with_a_position() {
 fn the_first_invalid_position_lies_in_the_spot() {
     for name in ["fault-nan", "fault-infinite", "fault-negative"] {
         let scene = scenes::by_name(name);
-        let (rays, grid) = settings(&scene, 4096);
+        let (rays, grid) = settings(4096);
         let Outcome { progress, .. } =
             Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap();
         let Treatment::Fault { center, radius, .. } = scene.field.treatment() else { unreachable!() };
@@ -160,19 +159,10 @@ fn the_first_invalid_position_lies_in_the_spot() {
 fn where_nothing_is_seen_u_is_the_prior_to_the_last_bit() {
     for name in ["empty", "no-camera"] {
         let scene = scenes::by_name(name);
-        let (rays, grid) = settings(&scene, 2048);
+        let (rays, grid) = settings(2048);
         let Outcome { field, progress, .. } =
             Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap();
         assert_eq!(progress.samples, 0);
         assert!(field.deviations().iter().all(|sigma| sigma == f64::from(field.prior() as f32)));
-    }
-}
-
-#[test]
-fn descriptions_name_the_scene() {
-    for scene in scenes::all() {
-        let described = scene.field.describe();
-        let name = if ["tiny", "huge", "shifted"].contains(&scene.name) { "moved ball" } else { scene.name };
-        assert!(described.contains(name), "{described}");
     }
 }

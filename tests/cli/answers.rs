@@ -5,7 +5,6 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::arrays::npy;
-use crate::npz::NpzWriter;
 use crate::program::Desk;
 use glam::Vec3;
 use octobayes::field::{ClosedForm, VoxelGrid};
@@ -69,34 +68,6 @@ fn queries_answer_in_all_formats() {
     assert_eq!(desk.good("query field.oct f16.npy -o -"), text);
     desk.write("i64.npy", npy(&[1, 3], [3_i64, 0, 0]));
     assert_eq!(desk.good("query field.oct i64.npy -o -").lines().nth(1), Some(lines[3]));
-}
-
-/// Arrays as NumPy makes them if nobody says f32, and a byte order mark.
-#[test]
-fn other_types_of_numbers_and_marks_of_encodings_are_read() {
-    let desk = with_field();
-    let write = |name: &str, is_wide: bool| {
-        let mut npz = NpzWriter::create(&desk.join(name));
-        let mut array = |name: &str, shape: &[u64], values: &[f32]| match is_wide {
-            true => npz.array(name, shape, values.iter().map(|&v| f64::from(v))),
-            false => npz.array(name, shape, values.iter().copied()),
-        };
-        array("positions", &[2, 3], &[0.25, 0.5, 0.125, -0.25, 0.0, 0.5]);
-        array("jacobian", &[2, 3, 3], &[1.5; 18]);
-        array("weight", &[2], &[0.5; 2]);
-        match is_wide {
-            true => npz.array("ray", &[2], [0_i64, 1]),
-            false => npz.array("ray", &[2], [0_u32, 1]),
-        }
-        npz.array("rays_total", &[], [2_i16]);
-        npz.finish();
-        desk.good(&format!("uncertainty {name} --box=-1,-1,-1,1,1,1 --level 4 -o {name}.oct"));
-        desk.field(&format!("{name}.oct"))
-    };
-    let [narrow, wide] = [write("narrow.npz", false), write("wide.npz", true)];
-    assert_eq!((narrow.deviations(), narrow.sums()), (wide.deviations(), wide.sums()));
-    desk.write("marked.json", format!("\u{feff}{}", desk.text("cameras.json")));
-    desk.good(&format!("{RENDER} --cameras marked.json -o x.png"));
 }
 
 /// Queries of a list longer than memory. The peak is that of the child process.

@@ -1,68 +1,29 @@
 //! Whatever number an option is given, the program refuses it by name or does its work: no panic, no signal, and
 //! no more memory than a desk computer has. The options are those of `--help`, so that a new one is tried, too.
-#![cfg(unix)]
+#![cfg(target_os = "linux")]
 
-use std::os::unix::process::ExitStatusExt;
-use std::process::{Child, Command, ExitStatus, Stdio};
-use std::time::{Duration, Instant};
+use std::process::{Command, Stdio};
 
 use crate::program::{Desk, TETRAHEDRON};
 
 /// What people type by accident, and what programs hand over when they fail.
 const VALUES: [&str; 8] = ["", "0", "-1", "18446744073709551615", "1e300", "1e-300", "1e12", "nan"];
-/// Most that a run may take before it is asked to stop: numbers of rays and steps may ask for days.
-const PATIENCE: Duration = Duration::from_secs(1);
-/// Then, how soon it has to stop.
-const NOTICE: Duration = Duration::from_secs(60);
-/// Address space of a run, kB.
-const ROOM: u64 = 8_000_000;
 
 /// Names of values that are not numbers.
 const NO_NUMBERS: &str = "PATH DIR FILE OUT FIELD.oct MODEL SAMPLES.npz SHEET.png PLOT.svg CURVES.csv VIEW.html \
     MODEL.safetensors DATASET PATTERN";
 
-/// What is wrong with what the program does, if anything.
+/// What is wrong with what the program does, if anything. It has 8 GB of address space; after a second it is told to
+/// end, because numbers of rays and steps may ask for days, and has a minute for that.
 fn fault(desk: &Desk, args: &[String]) -> Option<String> {
-    let errors = desk.join("errors.txt");
-    let script = format!("ulimit -v {ROOM}; exec \"$0\" \"$@\"");
-    let mut child = Command::new("sh")
-        .args(["-c", &script, env!("CARGO_BIN_EXE_octobayes")])
-        .args(args)
-        .current_dir(&**desk)
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(std::fs::File::create(&errors).unwrap())
-        .spawn()
-        .unwrap();
-    let mut status = ended_within(PATIENCE, &mut child);
-    let asked = status.is_none();
-    if asked {
-        assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
-        status = ended_within(NOTICE, &mut child);
-    }
-    if status.is_none() {
-        child.kill().unwrap();
-        child.wait().unwrap();
-    }
-    let said = String::from_utf8_lossy(&std::fs::read(&errors).unwrap()).into_owned();
-    let is_sound = match status.map(|status| (status.code(), status.signal())) {
-        Some((Some(0 | 2), _)) => !said.contains("panicked"),
-        Some((Some(130), _) | (_, Some(15))) => asked,
-        _ => false,
-    };
-    let first: String = said.chars().take(300).collect();
-    (!is_sound).then(|| format!("{args:?}: {status:?}, asked to stop: {asked}, stderr: {first}"))
-}
-
-/// How a process ended, if it did within a time.
-fn ended_within(time: Duration, child: &mut Child) -> Option<ExitStatus> {
-    let start = Instant::now();
-    loop {
-        match child.try_wait().unwrap() {
-            None if start.elapsed() < time => std::thread::sleep(Duration::from_millis(5)),
-            status => return status,
-        }
-    }
+    let script = "ulimit -v 8000000; exec timeout --preserve-status -k 60 1 \"$0\" \"$@\"";
+    let mut command = Command::new("sh");
+    let command = command.args(["-c", script, env!("CARGO_BIN_EXE_octobayes")]).args(args).current_dir(&**desk);
+    let output = command.stdin(Stdio::null()).output().unwrap();
+    let said: String = String::from_utf8_lossy(&output.stderr).chars().take(300).collect();
+    // 143: ended by the signal, as verbs do that have nothing to clean up.
+    let is_sound = matches!(output.status.code(), Some(0 | 2 | 130 | 143)) && !said.contains("panicked");
+    (!is_sound).then(|| format!("{args:?}: {:?}, stderr: {said}", output.status))
 }
 
 /// The options of a verb that take numbers, and the names of their values.

@@ -56,7 +56,8 @@ impl Scene {
         let frames: Vec<Value> = frames.collect();
         let mut file = json!({"camera_angle_x": 0.25, "w": SIDE, "h": SIDE, "frames": frames});
         change(&mut file);
-        self.write("t.json", file.to_string());
+        // Some editors begin files with a byte order mark.
+        self.write("t.json", format!("\u{feff}{file}"));
     }
 
     /// Which balls the cameras in use have seen, as `#` and `.`, and what was said.
@@ -72,26 +73,6 @@ impl Scene {
         };
         (BALLS.iter().map(is_seen).collect(), said)
     }
-}
-
-#[test]
-fn frames_have_the_numbers_of_their_file() {
-    let desk = Scene::new();
-    desk.cameras(|_| {});
-    // Of fewer than ten pictures none is held out.
-    assert_eq!(desk.seen("").0, "####");
-    let (balls, said) = desk.seen("--views 3,");
-    assert_eq!(balls, "...#");
-    assert!(said.contains("used are frame 3"), "{said}");
-    std::fs::remove_file(desk.join("images/1.png")).unwrap();
-    let (balls, said) = desk.seen("--views 0,2");
-    assert_eq!(balls, "#.#.");
-    assert!(said.contains("used are frames 0, 2"), "{said}");
-    desk.refused(&format!("{RUN} t.json --views 1,"), &["frame 1 (no images/1.png)"]);
-    desk.refused(&format!("{RUN} t.json --views 4,"), &["numbers of frames from 0 to 3, found 4"]);
-    // `render` counts alike.
-    desk.seen("--views all");
-    desk.good("render model.npz f.oct --cameras t.json --frame 3 -o 3.png");
 }
 
 #[test]

@@ -1,10 +1,6 @@
 //! Cameras belong to the model: `uncertainty` uses those that `train` trained on. One rule selects frames, and
 //! files that do not belong together are refused.
 
-use std::process::Stdio;
-
-#[cfg(unix)]
-use crate::interrupt::stopped;
 use crate::program::{Desk, OCTAHEDRON};
 use octobayes::dataset::Views;
 use octobayes::field::{HashGrid, TrainedField};
@@ -144,27 +140,6 @@ fn a_field_of_another_model_is_refused_wherever_models_lie() {
     desk.good(&format!("uncertainty moved/n.safetensors {RUN} -o again.oct"));
     desk.refused("merge field.oct again.oct -o x.oct", &["rays in common"]);
     desk.refused("merge merged.oct second.oct -o x.oct", &["rays in common"]);
-}
-
-#[test]
-#[cfg(unix)]
-#[ignore = "slow: whole runs as processes"]
-fn a_run_goes_on_with_a_model_that_has_moved() {
-    let desk = desk();
-    desk.good(&format!("train set -o m.safetensors --views 4 --steps 40 {SMALL}"));
-    std::fs::create_dir(desk.join("moved")).unwrap();
-    std::fs::copy(desk.join("m.safetensors"), desk.join("moved/n.safetensors")).unwrap();
-    let run = |model: &str, out: &str| {
-        format!("uncertainty {model} --level 4 --rays 8000 --error-bars 8 --gradient auto --occupancy 16 -o {out}")
-    };
-    desk.good(&run("m.safetensors", "whole.oct"));
-    let begun = format!("{} --checkpoint run.chk", run("m.safetensors", "parts.oct"));
-    let output = stopped(&desk.join("run.chk.0"), desk.command(&begun).stderr(Stdio::piped()).spawn().unwrap(), "-INT");
-    assert_eq!(output.status.code(), Some(130), "{}", String::from_utf8_lossy(&output.stderr));
-    desk.good(&format!("{} --checkpoint run.chk", run("moved/n.safetensors", "parts.oct")));
-    let [whole, parts] = ["whole.oct", "parts.oct"].map(|name| desk.field(name));
-    assert!(whole.deviations() == parts.deviations() && whole.sums() == parts.sums());
-    assert_eq!(checksums(&whole), checksums(&parts));
 }
 
 #[test]

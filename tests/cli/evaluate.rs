@@ -250,5 +250,5 @@ fn a_calibrated_interval_holds_its_share_and_goes_with_the_field() {
     desk.refused(&format!("{calibrate} --probability 0.99999"), &["pixels"]);
     desk.refused(&calibrate.replace("data.oct", "m.oct"), &["--scale data"]);
     desk.refused("query cal.oct --ray 0,0,0,0,0,0 --model m-0.safetensors", &["direction"]);
-    desk.refused("query cal.oct --ray 0,0,0,0,0,1", &["--model"]);
+    desk.refused("query cal.oct --ray 0,0,0,0,0,1", &["required arguments"]);
 }

@@ -268,6 +268,7 @@ fn options_without_effect_or_without_what_they_need() {
             (&format!("{RUN} --grid dense --refine density -o x.oct"), &["--refine", "dense"]),
             (&format!("{} --pooling auto -o x.oct", RUN.replace("600", "all")), &["--pooling", "every pixel"]),
             (&format!("{RUN} --scale data -o x.oct"), &["--noise", "neither"]),
+            (&format!("{RUN} --scale data --noise 0.7 -o x.oct"), &["--noise", "0.5"]),
             (&format!("{RUN} --noise 0.0316 -o x.oct"), &["--noise", "--scale data", "paper"]),
             (&splats, &["--for splats", "another model"]),
             (&format!("{RUN} --checkpoint text.chk --restart -o x.oct"), &["text.chk: start", "other bytes"]),

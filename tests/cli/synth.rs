@@ -3,16 +3,14 @@
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use crate::program::Desk;
 use glam::DVec3;
-use octobayes::Error;
 use octobayes::dataset::Hemisphere;
 use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PosedImage, Views};
 use octobayes::geometry::Ray;
-use octobayes::monitor::{Monitor, Silent};
+use octobayes::monitor::Silent;
 use octobayes::synth::{
     DEPTH_PNG_SCALE, DatasetSettings, GROUND_RADIUS, HALF_HEIGHT, Mesh, MeshScene, RADIUS, Up, write_dataset,
 };
@@ -199,44 +197,6 @@ fn refusals_are_one_line_and_leave_nothing() {
         ("good.obj -o out --resolution 65536", &["resolution"]),
     ];
     rows.iter().for_each(|(args, words)| drop(desk.refused(&format!("synth {args}"), words)));
-}
-
-/// Asks the work to stop once `left` units are done.
-struct StopAfter {
-    left: AtomicU64,
-}
-
-impl Monitor for StopAfter {
-    fn begin(&self, _stage: &str, _total: u64) {}
-    fn advance(&self, units: u64) {
-        let _ = self.left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| Some(left.saturating_sub(units)));
-    }
-    fn end(&self) {}
-    fn interrupted(&self) -> bool {
-        self.left.load(Ordering::Relaxed) == 0
-    }
-}
-
-#[test]
-fn interrupted_runs_leave_nothing() {
-    let folder = tempfile::tempdir().unwrap();
-    let obj = folder.path().join("ball.obj");
-    std::fs::write(&obj, sphere(4)).unwrap();
-    let out = folder.path().join("data");
-    let settings = DatasetSettings::default().views(2).test_views(1).resolution([20, 20]).samples_per_side(1);
-    // Sky light takes 128² points of the ground and 40 of the ball; then come three pictures of 20 rows. Rows of
-    // one picture may be under way together and still end when the stop comes. Only a stop before the last picture
-    // is sure to be in time.
-    let sky = 128 * 128 + 40;
-    for left in [1, sky / 2, sky + 1, sky + 30, sky + 39] {
-        let error = write_dataset(&obj, &out, &settings, &StopAfter { left: left.into() }).unwrap_err();
-        assert!(matches!(error, Error::Interrupted), "{left}: {error}");
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "only the mesh is there");
-    }
-    // An empty folder is accepted.
-    std::fs::create_dir(&out).unwrap();
-    write_dataset(&obj, &out, &settings, &Silent).unwrap();
-    assert!(out.join("transforms_test.json").exists());
 }
 
 #[test]

@@ -13,7 +13,6 @@ use glam::{DVec3, Vec3};
 use octobayes::dataset::{Frame, Views, write_transforms};
 use octobayes::estimate::RaySettings;
 use octobayes::field::{ClosedForm, HashGrid, RadianceField, TrainedField};
-use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
 use octobayes::render::render_view;
 use octobayes::splats::Splats;
@@ -256,14 +255,13 @@ fn cameras_follow_pictures_that_are_smaller_than_they_state() {
 #[test]
 fn wide_pictures_become_as_wide_as_in_the_original_code() {
     let desk = Desk::empty();
-    let cameras: Vec<(String, Camera)> = cameras(2, [1700, 10]);
+    let cameras = cameras(2, [1700, 10]);
     for (name, _) in &cameras {
-        let stripes = image::RgbImage::from_fn(1700, 10, |x, _| image::Rgb([(x % 256) as u8; 3]));
-        stripes.save(desk.join(format!("{name}.png"))).unwrap();
+        image::RgbImage::from_pixel(1700, 10, image::Rgb([90; 3])).save(desk.join(format!("{name}.png"))).unwrap();
     }
     write_transforms(&desk.join("wide.json"), &cameras).unwrap();
     folders(&desk, &["out"]);
-    assert!(desk.said(&format!("train wide.json -o out/s.ply {SPLATS} --steps 1")).contains("1600 x 9"));
+    desk.good(&format!("train wide.json -o out/s.ply {SPLATS} --steps 1"));
     assert_eq!(frames(&desk, "out/cameras.json")[0].camera.resolution, [1600, 9]);
 }
 

@@ -239,36 +239,3 @@ fn files_that_pages_name_exist() {
         assert!(named > 0, "{page} names files");
     }
 }
-
-#[test]
-fn imports_are_found_in_all_their_forms() {
-    let rooms: BTreeSet<String> = ["field", "octree", "cli", "io"].map(str::to_string).into();
-    let text = "\
-use crate::field::ClosedForm; // not crate::cli
-/// [`crate::cli`]
-use crate::{Error, Result, octree};
-use crate::{
-    io::npy, field::{hash_grid, Ppng},
-};
-fn f() { crate::io::write(super::super::octree::new(), super::cli, mycrate::cli) }
-#[cfg(test)]
-use crate::cli::Args;
-#[cfg(test)]
-mod slow;
-#[cfg(test)]
-mod tests {
-    use crate::cli;
-    fn g() {
-    }
-}
-use super::super::cli;
-";
-    let (code, test_modules) = production(text);
-    assert_eq!(test_modules, ["slow"]);
-    let found = imports_of(&code, "render", 2, "f.rs", &rooms);
-    let mut found: Vec<(String, String)> = found.into_iter().map(|import| (import.place, import.to)).collect();
-    found.sort();
-    let expected =
-        [("1", "field"), ("18", "cli"), ("3", "octree"), ("4", "field"), ("4", "io"), ("7", "io"), ("7", "octree")];
-    assert_eq!(found, expected.map(|(line, room)| (format!("f.rs:{line}"), room.to_string())));
-}

@@ -26,7 +26,7 @@ octobayes() {
 "#;
 
 /// A fenced block.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug)]
 struct Block {
     fence: String,
     /// Of the fence, from 1.
@@ -182,11 +182,4 @@ fn every_verb_is_shown_and_run() {
     for verb in verbs {
         assert!(run.contains(&format!("octobayes {verb} ")), "no block that is run shows `{verb}`");
     }
-}
-
-#[test]
-fn blocks_are_found_as_they_are_fenced() {
-    let page = "a\n```sh\nx \\\n  y\n```\nb ``` c\n```sh,data\nz\n```\n```text\n```\n";
-    let block = |fence: &str, line, text: &str| Block { fence: fence.into(), line, text: text.into() };
-    assert_eq!(blocks(page), [block("sh", 2, "x \\\n  y\n"), block("sh,data", 7, "z\n"), block("text", 10, "")]);
 }

@@ -5,3 +5,10 @@ mod sight;
 mod splat_depth;
 mod splat_judge;
 mod splats;
+
+use std::path::PathBuf;
+
+fn data(path: &str) -> PathBuf {
+    let root = std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA must name the folder of the data");
+    PathBuf::from(root).join(path)
+}

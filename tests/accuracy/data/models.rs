@@ -2,8 +2,6 @@
 //! and runs them with `--include-ignored`; there, missing data is a failure. The README says where to get the
 //! data.
 
-use std::path::PathBuf;
-
 use glam::Vec3;
 use octobayes::dataset::{PosedImage, Views};
 use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings, StepCheck};
@@ -15,6 +13,8 @@ use octobayes::render::{GradientMethod, render_view};
 use octobayes::train::{
     DatasetFiles, Shot, SplatOrigin, SplatSettings, SplatTrainer, TrainSettings, Trainer, Training, quality,
 };
+
+use super::data;
 
 /// Rows of three numbers.
 fn vectors(rows: &serde_json::Value) -> Vec<Vec3> {
@@ -39,11 +39,6 @@ fn check_lego_renders(model: &dyn TrainedField, stride: usize, measured: [f64; 3
         let found = psnr(&colors, &true_colors);
         assert!((found - expected).abs() <= 0.3, "{name}: {found:.2} dB, {expected} measured");
     }
-}
-
-fn data(path: &str) -> PathBuf {
-    let root = std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA must name the folder of the data");
-    PathBuf::from(root).join(path)
 }
 
 #[test]

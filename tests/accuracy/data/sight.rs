@@ -1,8 +1,6 @@
 //! What cameras see of real models, with correct and wrong settings. `OCTOBAYES_DATA` names the folder of the
 //! data.
 
-use std::path::PathBuf;
-
 use glam::DMat3;
 use octobayes::dataset::Views;
 use octobayes::estimate::{CoverageCheck, Framing, GridSettings, RaySettings};
@@ -12,10 +10,7 @@ use octobayes::monitor::Silent;
 use octobayes::open::open_in;
 use octobayes::render::GradientMethod;
 
-fn data(path: &str) -> PathBuf {
-    let root = std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA must name the folder of the data");
-    PathBuf::from(root).join(path)
-}
+use super::data;
 
 fn mlp(scene: &str) -> (String, Vec<Camera>) {
     let model = data(&format!("nerf-mlp-pretrained/{scene}.safetensors"));

@@ -1,8 +1,5 @@
 //! Splats of lego, trained on 100, 12 and 10 views: what √(gᵀCg) is worth for the depth of new views.
 
-use std::collections::HashMap;
-use std::path::PathBuf;
-
 use glam::{DMat3, DVec3, Vec3};
 use octobayes::dataset::{DepthEncoding, DepthKind, Frame, Views};
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
@@ -13,11 +10,9 @@ use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{DepthSample, DepthVariance, RaySamples, Renderer};
 use octobayes::splats::{SplatRenderer, Splats};
+use std::collections::HashMap;
 
-fn data(path: &str) -> PathBuf {
-    let root = std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA must name the folder of the data");
-    PathBuf::from(root).join(path)
-}
+use super::data;
 
 /// A block for each splat, as if its neighbours did not move with it.
 struct Blocks {

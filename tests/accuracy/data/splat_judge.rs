@@ -1,6 +1,6 @@
 //! `evaluate` on splats of lego, trained on 12 views: how well U ranks the depth of new views.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use octobayes::dataset::{Selection, Views};
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
@@ -10,13 +10,10 @@ use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::splats::Splats;
 
+use super::data;
+
 #[path = "../../../experiments/common/halved.rs"]
 mod halved;
-
-fn data(path: &str) -> PathBuf {
-    let root = std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA must name the folder of the data");
-    PathBuf::from(root).join(path)
-}
 
 fn judge(splats: &Splats, cameras: &[Camera], level: u8, folder: &Path) -> Report {
     let domain = Domain::Box(Aabb::centered_cube(1.4));

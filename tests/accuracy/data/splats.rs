@@ -1,15 +1,12 @@
 //! Files of Gaussian splats by other programs, and the cameras of trained ones.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::Vec3;
 use octobayes::dataset::Views;
 use octobayes::splats::{RenderMode, Splats};
 
-fn data(path: &str) -> PathBuf {
-    let root = std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA must name the folder of the data");
-    PathBuf::from(root).join(path)
-}
+use super::data;
 
 fn read(path: &Path) -> Splats {
     Splats::read(path).unwrap_or_else(|e| panic!("{e}"))

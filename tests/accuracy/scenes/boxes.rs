@@ -22,7 +22,6 @@ fn face_density() -> HardScene {
         about: "The box is full to the brim: density ends at its faces. They are no surfaces, as nothing beyond is \
                 known: derivatives look inwards only, and the density, which is constant, pins nothing; texture does.",
         field: Specimen::new(one("face-density", block), Treatment::Exact, ring()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![claim("texture is pinned", Quantity::Block, 1.7..=2.8)],
     }
@@ -33,7 +32,6 @@ fn empty() -> HardScene {
         name: "empty",
         about: "Nothing at all: U is the prior everywhere, to the last bit, and that is no error.",
         field: Specimen::new(several("empty", Vec::new()), Treatment::Exact, ring()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![
             claim("nothing is pinned", Quantity::Diagonal, 0.0..=0.0),
@@ -55,7 +53,6 @@ fn one_cell() -> HardScene {
             Treatment::Exact,
             Rig { viewpoints, fov_x: 0.03, resolution: [64, 64] },
         ),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![
             claim("they are pinned", Quantity::Block, 4.8..=5.9),
@@ -82,7 +79,7 @@ fn moved(
         Verdict::Refused => Vec::new(),
         _ => vec![claim("as much is pinned as at the usual size", Quantity::Block, 2.2..=3.5)],
     };
-    Ok(HardScene { name, about, field: moved_ball(scale, shift)?, level: 5, verdict, claims })
+    Ok(HardScene { name, about, field: moved_ball(scale, shift)?, verdict, claims })
 }
 
 fn tiny() -> octobayes::Result<HardScene> {

@@ -31,6 +31,9 @@ use octobayes::geometry::{Aabb, Camera};
 
 pub use specimen::{Rig, Specimen, Treatment};
 
+/// Level of the finest lattice that scenes are made for.
+pub const LEVEL: u8 = 5;
+
 /// Edge of a finest cell of the usual lattice: 2 / 2⁵.
 pub const CELL: f32 = 1.0 / 16.0;
 
@@ -91,8 +94,6 @@ pub struct HardScene {
     pub about: &'static str,
     /// The field, with its training cameras.
     pub field: Specimen,
-    /// Level of the finest lattice that the scene is made for.
-    pub level: u8,
     /// Outcome.
     pub verdict: Verdict,
     /// Expectations as bounds; empty for refused scenes.

@@ -29,7 +29,6 @@ fn lattice_line() -> HardScene {
         about: "Rays exactly on lattice lines: samples lie on cells' edges, where three of four vertices around have \
                 weight 0. They are not moved.",
         field: specimen("ray-lattice-line", rays.collect()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![
             claim("the wall is pinned on the lines", Quantity::Block, 3.1..=4.3),
@@ -53,7 +52,6 @@ fn lattice_vertex() -> HardScene {
         about: "Rays along space diagonals through lattice vertices: rounding decides in which cell a sample falls, \
                 and must not matter.",
         field: specimen("ray-lattice-vertex", rays.collect()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![claim("the wall is pinned along the rays", Quantity::Block, 3.1..=4.3)],
     }
@@ -72,7 +70,6 @@ fn in_face() -> HardScene {
         about: "Rays that run in the box's faces and in lattice planes: faces belong to the box, and derivatives there \
                 look inwards only.",
         field: specimen("ray-in-face", rays.collect()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![claim("the wall is pinned where rays pass", Quantity::Block, 3.1..=4.3)],
     }
@@ -102,7 +99,6 @@ fn grazing() -> HardScene {
         about: "Rays along the box's edges, past them by a billionth, and through its corners: those along an edge \
                 count, the others see nothing.",
         field: specimen("ray-grazing", rays),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![
             claim("the wall is pinned on two edges of the box", Quantity::Block, 3.1..=4.3),

@@ -45,7 +45,6 @@ fn wall_axis() -> HardScene {
         about: "A textureless wall that faces an axis: nothing tells how far it slides along itself, so that two of \
                 three priors stay, in every reading.",
         field: Specimen::new(one("wall-axis", wall(Vec3::X, PLAIN)), Treatment::Exact, ring()),
-        level: 5,
         verdict: Verdict::Handled,
         // ½ log10(3/2) = 0.08805 if one of three equal variances vanishes.
         claims: vec![
@@ -61,7 +60,6 @@ fn wall_diagonal() -> HardScene {
         about: "The same wall, facing (1, 1, 1): `block` says what it said before, but `diagonal` (the paper's) now \
                 takes the wall for pinned in all directions, decades below.",
         field: Specimen::new(one("wall-diagonal", wall(Vec3::ONE, PLAIN)), Treatment::Exact, ring()),
-        level: 5,
         verdict: Verdict::Limit,
         claims: vec![
             claim("`diagonal` sees three pinned directions", Quantity::Diagonal, 3.1..=4.2),
@@ -78,7 +76,6 @@ fn checker_coarse() -> HardScene {
         name: "checker-coarse",
         about: "A wall of checks four cells wide: texture pins all three directions.",
         field: Specimen::new(field, Treatment::Exact, ring()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![claim("all directions are pinned by decades", Quantity::Block, 2.5..=3.6)],
     }
@@ -92,7 +89,6 @@ fn checker_fine() -> HardScene {
                 that a shift by two checks looks the same again is beyond a Laplace approximation. A vertex \
                 moves many checks together.",
         field: Specimen::new(field, Treatment::Exact, ring()),
-        level: 5,
         verdict: Verdict::Limit,
         claims: vec![claim("all directions are pinned by decades", Quantity::Block, 3.5..=4.6)],
     }
@@ -108,7 +104,6 @@ fn opaque_step() -> HardScene {
                 meet. Where one does, U is far too small, elsewhere it is the prior; how many do depends on the step \
                 of the finite differences, which blurs the spike. It is chance.",
         field: Specimen::new(several("opaque-step", vec![solid(round), solid(square)]), Treatment::Exact, ring()),
-        level: 5,
         verdict: Verdict::Limit,
         claims: vec![claim(
             "where the spike is met, which is chance, a surface looks pinned",
@@ -129,7 +124,6 @@ fn thin_sheet() -> HardScene {
                 vertices and nearly cancel within a ray, which is why Jacobians are summed over the ray \
                 before they are squared.",
         field: Specimen::new(field, Treatment::Exact, ring()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![
             claim("the sheet is found", Quantity::Block, 2.3..=3.3),
@@ -148,7 +142,6 @@ fn fog() -> HardScene {
                 that U is large everywhere; but images say a little about all of it, and the prior is weak \
                 enough to be moved by that.",
         field: Specimen::new(one("fog", fog), Treatment::Exact, ring()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![claim("far less is pinned than at any surface", Quantity::Block, 0.1..=0.6)],
     }
@@ -161,7 +154,6 @@ fn saturated() -> HardScene {
         about: "A textured wall whose colours lie where the sigmoid is flat: the texture is there in the network and \
                 gone in the picture, so that the wall counts as textureless.",
         field: Specimen::new(field, Treatment::Saturated, ring()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![claim("one of three directions is pinned: 0.088", Quantity::Block, 0.087..=0.08806)],
     }

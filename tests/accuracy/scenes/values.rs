@@ -18,7 +18,6 @@ fn aligned() -> HardScene {
         about: "A piecewise trilinear field (as a hash grid is) whose cells are the lattice's: its gradient jumps \
                 exactly at the vertices. A difference across a kink is the mean of both sides.",
         field: Specimen::new(one("lattice-aligned", ball()), Treatment::Grid { points: 33 }, ring()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![claim("the ball is pinned", Quantity::Block, 2.2..=3.5)],
     }
@@ -29,7 +28,6 @@ fn misaligned() -> HardScene {
         name: "lattice-misaligned",
         about: "The same with cells of 2/23, against the lattice's 2/32: its gradient jumps anywhere within a cell.",
         field: Specimen::new(one("lattice-misaligned", ball()), Treatment::Grid { points: 24 }, ring()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![claim("the ball is pinned", Quantity::Block, 2.2..=3.5)],
     }
@@ -42,7 +40,6 @@ fn half_precision() -> HardScene {
                 tread and far too large at a riser. U is too small where the field is flatter than its \
                 noise; a larger step helps.",
         field: Specimen::new(one("half-precision", ball()), Treatment::Half, ring()),
-        level: 5,
         verdict: Verdict::Limit,
         claims: vec![claim("the ball is pinned", Quantity::Block, 2.2..=3.5)],
     }
@@ -69,7 +66,6 @@ fn fault(name: &'static str, about: &'static str, density: f32) -> HardScene {
         name,
         about,
         field: Specimen::new(one(name, ball()), treatment, ring()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![
             claim("the ball is pinned elsewhere", Quantity::Block, 2.2..=3.5),
@@ -85,7 +81,6 @@ fn denormal() -> HardScene {
         name: "fault-denormal",
         about: "Denormal densities in a bite out of the ball: as good as none.",
         field: Specimen::new(one("fault-denormal", ball()), treatment, ring()),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![
             claim("what is left of the ball is pinned", Quantity::Block, 2.2..=3.5),
@@ -101,7 +96,6 @@ fn fault_everywhere() -> HardScene {
         about: "NaN over half of the ball: what is left would be no answer, so that the run ends with an error which \
                 names the first position.",
         field: Specimen::new(one("fault-everywhere", ball()), treatment, ring()),
-        level: 5,
         verdict: Verdict::Refused,
         claims: Vec::new(),
     }

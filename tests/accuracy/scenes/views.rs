@@ -23,7 +23,6 @@ fn one_camera() -> HardScene {
                 matter changes a pixel only by what its own colour and density vary, which one picture cannot tell \
                 from anything else.",
         field: Specimen::new(one("one-camera", ball()), Treatment::Exact, rig),
-        level: 5,
         verdict: Verdict::Limit,
         claims: vec![claim("the front is pinned", Quantity::Block, 2.4..=3.5)],
     }
@@ -38,7 +37,6 @@ fn two_cameras() -> HardScene {
         about: "The same ball seen by two cameras two degrees apart: a Laplace approximation takes them for twice the \
                 pictures of one, not for a stereo pair.",
         field: Specimen::new(one("two-cameras", ball()), Treatment::Exact, rig),
-        level: 5,
         verdict: Verdict::Limit,
         claims: vec![claim("the front is pinned", Quantity::Block, 2.4..=3.5)],
     }
@@ -50,7 +48,6 @@ fn no_camera() -> HardScene {
         name: "no-camera",
         about: "A ball that two cameras turn their backs on: U is the prior everywhere, to the last bit.",
         field: Specimen::new(one("no-camera", ball()), Treatment::Exact, rig),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![
             claim("nothing is pinned", Quantity::Diagonal, 0.0..=0.0),
@@ -76,7 +73,6 @@ fn camera_inside() -> HardScene {
         name: "camera-inside",
         about: "Cameras inside a cloud: rays begin in the middle of density, and the nearest matter is seen best.",
         field: Specimen::new(one("camera-inside", cloud), Treatment::Exact, rig),
-        level: 5,
         verdict: Verdict::Handled,
         claims: vec![claim("what is near is pinned", Quantity::Block, 2.5..=3.8)],
     }
