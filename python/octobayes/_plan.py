@@ -75,9 +75,9 @@ def next_view(
     that :func:`uncertainty` takes, of the views taken; with ``map`` 'map' ``[H, W]`` (float32, nats; at most 256 pixels
     a side).
 
-    Fewer views than asked for are taken if no other tells anything; 'why_nothing' says why: 'in-matter',
+    Fewer views than asked for are taken if no other adds information; 'why_nothing' says why: 'in-matter',
     'past-the-box' or 'meets-nothing'. Warns of candidates whose axes differ from those of the training cameras. Raises
-    ValueError if no candidate tells anything, if u keeps no sums or is not in the scale of the data, and as
+    ValueError if no candidate adds information, if u keeps no sums or is not in the scale of the data, and as
     :func:`uncertainty` does.
     """
     u = _field("u", u)

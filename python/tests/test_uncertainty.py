@@ -292,5 +292,5 @@ def test_images_beside_a_camera_file_are_compared_with_the_model(courtyard, came
     beside(tmp_path, cameras, [picture * [0.02, 0, 0] for picture in shown])
     with pytest.raises(ValueError, match="images beside the cameras: expected .*at least 8 dB.*force"):
         ob.uncertainty(courtyard, path, **run)
-    with pytest.warns(RuntimeWarning, match="hardly shows the images beside the cameras"):
+    with pytest.warns(RuntimeWarning, match="match the images"):
         ob.uncertainty(courtyard, path, force=True, **run)

@@ -45,9 +45,8 @@ use progress::{Bars, ignore_limit_of_files};
 
 /// Where can a trained radiance field (NeRF) be trusted?
 ///
-/// Asks of every part of space how far it could be moved without any training image noticing (Bayes' Rays, Goli et
-/// al., CVPR 2024). Stores the answer on an adaptive octree that is fine where images are sensitive. Start with
-/// `octobayes demo`.
+/// Computes how far each part of space could move before any training image changed (Bayes' Rays, Goli et al., CVPR
+/// 2024), and stores it on an adaptive octree that is fine where images are sensitive. Start with `octobayes demo`.
 #[derive(Parser)]
 #[command(name = "octobayes", version, max_term_width = 110, disable_help_flag = true)]
 struct Cli {

@@ -273,7 +273,7 @@ impl Args {
             say!("{:>4}  {gain:>10.1}  {each:>10.4}  {unseen:>13}  {seconds:>7.2}  {name}", n + 1)?;
         }
         if ranking.complete && ranking.steps.len() < self.take as usize {
-            announce!("note: no other candidate tells anything beside these {}", ranking.steps.len());
+            announce!("note: no other candidate adds information to these {}", ranking.steps.len());
         }
         Ok(())
     }

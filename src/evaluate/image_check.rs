@@ -332,12 +332,13 @@ impl ImageCheck {
         let (measured, causes, fair) = (self.measured(), self.causes(), self.fair());
         if self.is_poor() {
             warnings.push(format!(
-                "the model hardly shows the images beside the cameras: {measured}, {fair:.0} dB would be fair; likely \
-                 causes: {causes}"
+                "renders of the model hardly match the images beside the cameras: {measured}, {fair:.0} dB would be \
+                 fair; likely causes: {causes}"
             ));
         } else if self.background.is_some() {
-            warnings
-                .push(format!("the model shows the images beside the cameras with {measured}; likely cause: {causes}"));
+            warnings.push(format!(
+                "renders match the images beside the cameras poorly: {measured}; likely cause: {causes}"
+            ));
         }
         warnings
     }

@@ -278,7 +278,8 @@ impl Prepared<'_> {
             report.verdict = report.verdict(&evaluator, views, self.trained_on, are_far_off(&error, *model));
         }
         if let (Some(probability), Some(found)) = (self.evaluation.calibrate, &self.depth) {
-            let few = || looked.too_few(found, &format!("more pixels of known depth, to hold {probability}"));
+            let few =
+                || looked.too_few(found, &format!("more pixels with known depth (for probability {probability})"));
             report.calibrated = Some(Interval::calibrate(&evaluator, views, probability).ok_or_else(few)?);
         }
         let cleaned = match (self.evaluation.clean_up, evaluator.baked.first()) {
@@ -333,7 +334,7 @@ fn truly_seen(
         return Err(Error::malformed(&maps.source, "depth maps of training views", expected, counts.to_string()));
     }
     if counts.measured < counts.total() {
-        tell(Message::Note(format!("training views: {counts}; such pixels count as seeing all that is there")));
+        tell(Message::Note(format!("training views: {counts}; pixels without depth are treated as unoccluded")));
     }
     Ok(seen)
 }

@@ -100,7 +100,7 @@ impl Camera {
         let without = (0..SIDE * SIDE).filter(|&i| !has_ray(i)).count() as f64 / (SIDE * SIDE) as f64;
         let percent = 100.0 * without;
         (without > MAX_SHARE_WITHOUT_RAYS)
-            .then(|| format!("{}, by which {percent:.0} % of the pixels have none", self.distortion))
+            .then(|| format!("{}, which is not invertible for {percent:.0} % of the pixels", self.distortion))
     }
 
     /// Number of pixels.

@@ -11,7 +11,7 @@ use crate::uncertainty::{Added, Precision};
 /// Longest side of a map, pixels.
 const SIDE: u32 = 256;
 
-/// What each pixel of a view would tell by itself.
+/// Information gain of each pixel of a view alone.
 ///
 /// Pixels of one surface tell the same, so that the sum over pixels is more than the view's gain.
 #[derive(Debug, Clone, PartialEq)]

@@ -40,7 +40,7 @@ pub struct Step {
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 #[non_exhaustive]
 pub struct Ranking {
-    /// The views, from the best. Fewer than asked for if there are not as many candidates that tell anything.
+    /// The views, from the best. Fewer than asked for if not as many candidates add information.
     pub steps: Vec<Step>,
     /// `[candidates]`: gain before any was taken.
     pub gains: Vec<f64>,

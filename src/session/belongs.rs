@@ -52,7 +52,10 @@ impl OpenedModel {
             check_box(&self.name, &self.model.whole_box(), field)?;
         }
         let Some(expected) = field.record().model_checksum else {
-            tell(Message::Note(format!("{} does not say which model it was computed from", path.display())));
+            tell(Message::Note(format!(
+                "{} has no checksum of its model: it cannot be verified that they belong together",
+                path.display()
+            )));
             return Ok(());
         };
         if expected == self.checksum {

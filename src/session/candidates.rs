@@ -1,5 +1,5 @@
 //! What a user should know of the candidates for the next photograph: whether their poses follow another convention
-//! than those of the training cameras, and which of them tell nothing.
+//! than those of the training cameras, and which of them add nothing.
 
 use std::path::Path;
 
@@ -42,7 +42,7 @@ impl Candidates<'_> {
     /// Says what is odd about them, given their ranking.
     ///
     /// # Errors
-    /// If none of them tells anything.
+    /// If none of them adds information.
     pub fn remark(&self, ranking: &Ranking, tell: &mut dyn FnMut(Message)) -> Result<()> {
         let (doubt, blanks) = (self.doubt(), self.blanks(ranking));
         if ranking.steps.is_empty() && ranking.complete {

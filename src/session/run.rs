@@ -369,8 +369,7 @@ impl Prepared<'_> {
             && (error.mean > target || error.vertices == 0)
         {
             let rays = progress.rays;
-            let text =
-                format!("{rays} rays, the most by --rays, do not bring the mean error within {target:?} decades");
+            let text = format!("stopped at --rays {rays}; the mean error is still above {target:?} decades");
             tell(Message::Warning(text));
         }
         if is_replanned {

@@ -7,7 +7,7 @@ use crate::Result;
 use crate::geometry::Camera;
 use crate::render::{Pixel, RenderedView};
 
-/// Pixels of this opacity or less show no log10 U: it would be that of a veil nobody sees.
+/// Pixels of this opacity or less are nearly transparent: their log10 U is undefined.
 const FAINT: f64 = 0.05;
 
 /// Why U is undefined for a pixel.

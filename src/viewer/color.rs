@@ -9,7 +9,7 @@ use crate::field::{Radiance, RadianceField};
 const DIRECTIONS: usize = 3;
 /// The same inside of matter, where hardly any camera sees.
 const INSIDE: usize = 2;
-/// One of so many samples is asked for the colour of a brick of which nothing is seen.
+/// Stride of colour samples in bricks that no ray sees.
 const SAMPLE_STRIDE: usize = 37;
 /// Matter that changes less than this from sample to sample has no surface.
 const FLAT: f32 = 0.02;

@@ -151,7 +151,7 @@ fn a_contracted_model_gives_a_contracted_field() {
     desk.good(&format!("train set -o m.safetensors --contract linf:0,0,0,1.5 --views 2 --steps 2 {SMALL}"));
     let model = HashGrid::read(&desk.join("m.safetensors")).unwrap();
     let stderr = desk.said(&format!("uncertainty m.safetensors {run} -o field.oct"));
-    assert!(stderr.contains("the field covers what the model does") && stderr.contains("contract"), "{stderr}");
+    assert!(stderr.contains("domain: the model's own") && stderr.contains("contract"), "{stderr}");
     let domain = *desk.field("field.oct").lattice().domain();
     assert!(matches!(domain, Domain::Contracted { .. }) && domain == model.natural_domain(), "{domain}");
     let stderr = desk.said(&format!("uncertainty m.safetensors --box=-1,-1,-1,1,1,1 {run} -o box.oct"));

@@ -53,7 +53,7 @@ impl Model for Splats {
         }
         match seen.domain {
             Domain::Contracted { .. } => messages.push(Message::Note(format!(
-                "the field covers what the model does, {} (--box for a box)",
+                "domain: the model's own, {} (--box for a box)",
                 seen.domain
             ))),
             Domain::Box(bounds) => {

@@ -39,7 +39,7 @@ impl<F: TrainedField> Model for F {
         let note = match domain {
             Domain::Box(_) => None,
             Domain::Contracted { .. } => {
-                Some(Message::Note(format!("the field covers what the model does, {domain} (--box for a box)")))
+                Some(Message::Note(format!("domain: the model's own, {domain} (--box for a box)")))
             }
         };
         Ok((domain, note.into_iter().collect()))
