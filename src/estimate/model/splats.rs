@@ -52,10 +52,9 @@ impl Model for Splats {
             )));
         }
         match seen.domain {
-            Domain::Contracted { .. } => messages.push(Message::Note(format!(
-                "domain: the model's own, {} (--box for a box)",
-                seen.domain
-            ))),
+            Domain::Contracted { .. } => {
+                messages.push(Message::Note(format!("domain: the model's own, {} (--box for a box)", seen.domain)))
+            }
             Domain::Box(bounds) => {
                 let [low, high] = [bounds.min(), bounds.max()];
                 messages.push(Message::Note(format!(
