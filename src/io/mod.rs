@@ -23,7 +23,9 @@ mod source;
 #[cfg(feature = "files")]
 mod whole;
 
-pub use atomic::{AtomicFile, beside};
+pub use atomic::AtomicFile;
+#[cfg(feature = "synth")]
+pub use atomic::beside;
 #[cfg(feature = "export")]
 pub use cell::cell;
 #[cfg(feature = "files")]

@@ -32,7 +32,7 @@ fn desk() -> Desk {
     (0..2).for_each(|i| drop(desk.good(&format!("{} --shard {i}/2 -o part{i}.oct", RUN.replace("600", "1200")))));
     std::fs::copy(desk.join("cameras.json"), desk.join("c.state")).unwrap();
     symlink("cameras.json", desk.join("soft")).unwrap();
-    std::fs::hard_link(desk.join("cameras.json"), desk.join("hard")).unwrap();
+    std::fs::hard_link(desk.join("cameras.json"), desk.join("hard.oct")).unwrap();
     std::fs::create_dir(desk.join("sub")).unwrap();
     desk
 }
@@ -120,8 +120,8 @@ fn links_are_followed_and_stay() {
         assert!(desk.join(&link).is_symlink() && !desk.bytes(&target).is_empty(), "{command} {link}");
     }
     let cameras = desk.bytes("cameras.json");
-    std::fs::hard_link(desk.join("cameras.json"), desk.join("hard")).unwrap();
-    desk.good(&format!("{RUN} -o hard"));
+    std::fs::hard_link(desk.join("cameras.json"), desk.join("hard.oct")).unwrap();
+    desk.good(&format!("{RUN} -o hard.oct"));
     assert_eq!(desk.bytes("cameras.json"), cameras, "a hard link is a file of its own");
     symlink("sub/dataset", desk.join("dataset")).unwrap();
     desk.good("synth mesh.obj -o dataset --count 1 --test-count 1 --resolution 8");
