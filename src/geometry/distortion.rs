@@ -122,8 +122,6 @@ mod tests {
     const KINDS: [(usize, bool); 5] = [(1, false), (2, false), (2, true), (3, true), (4, true)];
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(4000))]
-
         #[test]
         fn undistort_is_the_inverse_wherever_nothing_folds(
             x in -0.8..0.8_f64,

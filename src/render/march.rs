@@ -181,8 +181,6 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(4000))]
-
         #[test]
         fn leaps_keep_the_samples_that_single_steps_keep(
             scene in 0..MARCHERS.len(),

@@ -202,8 +202,6 @@ mod tests {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(2000))]
-
         #[test]
         fn bound_is_never_below_the_density(
             p in primitive(),
