@@ -9,7 +9,7 @@ use std::ops::Range;
 use glam::Vec3;
 use rustc_hash::FxHashMap;
 
-use super::loss::{RaySample, SampleGradient, color, composite, density_gradients, end_transmittance};
+use super::loss::{RaySample, SampleGradient, composite, density_gradients, end_transmittance};
 use super::march::Walk;
 use super::occupancy::OccupancyGrid;
 use super::tape::Tape;
@@ -123,8 +123,10 @@ impl<'a> PixelGradients<'a> {
 fn pixel(samples: &[RaySample], background: Vec3) -> ([f32; OUTPUTS], [Vec<SampleGradient>; OUTPUTS]) {
     let weights = composite(samples);
     let transmittance = end_transmittance(&weights);
+    let mut color = transmittance * background;
     let (mut total, mut moment) = (0.0, 0.0);
     for (sample, [weight, _]) in samples.iter().zip(&weights) {
+        color += weight * sample.color;
         total += weight;
         moment += weight * sample.s;
     }
@@ -145,8 +147,7 @@ fn pixel(samples: &[RaySample], background: Vec3) -> ([f32; OUTPUTS], [Vec<Sampl
         density_gradients(samples, &weights, end, a, &mut gradients);
         gradients
     });
-    let [r, g, b] = color(samples, &weights, background).to_array();
-    ([r, g, b, depth], gradients)
+    ([color.x, color.y, color.z, depth], gradients)
 }
 
 #[cfg(test)]

@@ -53,12 +53,6 @@ pub fn end_transmittance(weights: &[[f32; 2]]) -> f32 {
     weights.last().map_or(1.0, |[_, after]| *after)
 }
 
-/// C of a ray with the weights of [`composite`].
-pub fn color(samples: &[RaySample], weights: &[[f32; 2]], background: Vec3) -> Vec3 {
-    let shown = samples.iter().zip(weights).fold(Vec3::ZERO, |sum, (sample, [weight, _])| sum + weight * sample.color);
-    shown + end_transmittance(weights) * background
-}
-
 /// Fills ∂L/∂σ_i for a function L of the `weights` of [`composite`], from `end` = T_end a_end and a_i.
 ///
 /// `a` is called from the last sample to the first.
@@ -90,12 +84,17 @@ pub fn ray_loss(
     gradients: &mut Vec<SampleGradient>,
 ) -> RayLoss {
     let weights = composite(samples);
+    let mut color = Vec3::ZERO;
     let (mut total, mut first_moment) = (0.0_f32, 0.0_f32);
     for (sample, [weight, _]) in samples.iter().zip(&weights) {
+        color += weight * sample.color;
         total += weight;
         first_moment += weight * sample.s;
     }
-    let error = color(samples, &weights, background) - target;
+    let transmittance = end_transmittance(&weights);
+    color += transmittance * background;
+
+    let error = color - target;
     let d_color = error.clamp(Vec3::splat(-HUBER), Vec3::splat(HUBER));
     let huber = |e: f32| if e.abs() <= HUBER { 0.5 * e * e } else { HUBER * (e.abs() - 0.5 * HUBER) };
     let mut result = RayLoss {
@@ -118,8 +117,7 @@ pub fn ray_loss(
         moment_behind += weight * sample.s;
         d_color.dot(sample.color) + distortion * (2.0 * spread + 2.0 / 3.0 * weight * sample.delta)
     };
-    let end = end_transmittance(&weights) * d_color.dot(background);
-    density_gradients(samples, &weights, end, d_weight, gradients);
+    density_gradients(samples, &weights, transmittance * d_color.dot(background), d_weight, gradients);
     result
 }
 

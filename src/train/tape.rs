@@ -12,8 +12,7 @@ use crate::field::hash_grid::{
 
 /// Samples taken per ray between two checks of its transmittance.
 const ROUND: usize = 8;
-/// Rays end when their transmittance falls below this. What is behind changes a pixel by no more; half a step of 8 bits
-/// is 2e-3.
+/// Rays end when their transmittance falls below this.
 const OPAQUE: f32 = 1e-4;
 
 /// Activations of all samples, in the order in which they were taken.
@@ -94,13 +93,6 @@ impl Tape {
     pub fn sample(&self, i: usize) -> RaySample {
         let [r, g, b, _] = self.color[i];
         RaySample { sigma: self.sigma[i], color: Vec3::new(r, g, b), delta: self.delta[i], s: self.s[i] }
-    }
-
-    /// `[rays]`: the samples of each, in order along it.
-    pub fn by_ray(&self, rays: usize) -> Vec<Vec<RaySample>> {
-        let mut all = vec![Vec::new(); rays];
-        self.owner.iter().enumerate().for_each(|(i, &owner)| all[owner as usize].push(self.sample(i)));
-        all
     }
 
     /// Derivatives of a function by the networks' weights and by the features of the samples (`[samples]`), from those
