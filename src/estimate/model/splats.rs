@@ -53,7 +53,7 @@ impl Model for Splats {
         }
         match seen.domain {
             Domain::Contracted { .. } => {
-                messages.push(Message::Note(format!("domain: the model's own, {} (--box for a box)", seen.domain)))
+                messages.push(Message::Note(format!("domain: the model's own, {} (--box for a box)", seen.domain)));
             }
             Domain::Box(bounds) => {
                 let [low, high] = [bounds.min(), bounds.max()];
