@@ -10,9 +10,6 @@ mod batch;
 mod loss;
 mod march;
 mod occupancy;
-// Part of the experiments that compare measures with the gradients of all parameters.
-#[cfg(feature = "experiments")]
-#[path = "../../experiments/common/pixel_gradient.rs"]
 mod pixel_gradient;
 mod quality;
 mod run;
@@ -23,7 +20,7 @@ mod trainer;
 mod views;
 
 pub use crate::dataset::Selection;
-#[cfg(feature = "experiments")]
+// For the experiment that compares measures with the gradients of all parameters.
 #[doc(hidden)]
 pub use pixel_gradient::{PixelGradient, PixelGradients};
 pub use quality::{Quality, one_color, quality, quality_within};

@@ -163,7 +163,6 @@ impl Encoding {
 
     /// The entries that the features of a point are made of, as indices in the table of all levels, with their weights:
     /// `[levels][corners]`.
-    #[cfg(feature = "experiments")]
     pub fn entries_of(&self, u: [f32; 3]) -> [[(u32, f32); 8]; N_LEVELS] {
         let mut first = 0;
         self.levels.map(|level| {
