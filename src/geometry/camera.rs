@@ -343,7 +343,7 @@ mod tests {
         // outside of a circle of 0.172 in an image of 0.966 × 0.724 half of its width, 0.483 and 0.362.
         let share = 1.0 - std::f64::consts::PI * 0.172_f64.powi(2) / (4.0 * 0.483 * 0.362);
         let said = with([-5.0, 0.0], [0.0; 2]).unwrap();
-        let percent: f64 = said.split("which ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+        let percent: f64 = said.split(" for ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
         assert!((percent - 100.0 * share).abs() < 4.0, "{said}, expected {share}");
         for (k, p) in [([1e300, 0.0], [0.0; 2]), ([0.0, -1e6], [0.0; 2]), ([0.0; 2], [50.0, 0.0])] {
             assert!(with(k, p).is_some(), "{k:?}, {p:?}");

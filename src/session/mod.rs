@@ -5,7 +5,7 @@
 //! draws the rays and attaches what belongs to the result, [`Finished::save`] writes it. [`Accumulation`] does the same
 //! for samples from elsewhere.
 //!
-//! What a user should know arrives as a [`Message`](crate::evaluate::Message) at `tell`, in the order in which it is
+//! What a user should know arrives as a [`Message`](crate::monitor::Message) at `tell`, in the order in which it is
 //! found. Options have the names of the command line, which [`in_flags`] gives to the library's own errors as well;
 //! Python rewrites them into arguments. The command line and Python are two faces of this module.
 

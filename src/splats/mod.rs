@@ -20,14 +20,12 @@ use glam::{Quat, Vec3};
 
 #[cfg(all(test, any(feature = "evaluate", feature = "train")))]
 pub(crate) use render::reference;
-#[cfg(any(feature = "cli", feature = "train"))]
-pub(crate) use render::{BEYOND, DARK, FAINTEST, MOST_OPAQUE};
 #[cfg(feature = "train")]
 pub(crate) use render::{Footprint, Projector, Shape, boxed, middle};
 pub use render::{SeenSpace, SplatRenderer, seen_domain, tile_of};
 // What only the program, Python and the experiments name.
 #[doc(hidden)]
-pub use render::{Hit, Hits, NEAR, SplatView, share_too_near};
+pub use render::{BEYOND, DARK, FAINTEST, Hit, Hits, MOST_OPAQUE, NEAR, SplatView, share_too_near};
 
 #[cfg(feature = "files")]
 use self::columns::Layout;

@@ -115,7 +115,7 @@ pub trait Model: Send + Sync {
     /// The cameras that come with the model, with the intrinsics that it lacks. `None` if it has none.
     ///
     /// # Errors
-    /// As [`RadianceField::cameras`].
+    /// As [`TrainedField::cameras`](crate::field::TrainedField::cameras).
     fn cameras(&self, _intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
         Ok(None)
     }

@@ -129,7 +129,7 @@ impl Model for Splats {
             return Err(Error::setting(what, MARCHED, self.kind()));
         }
         if settings.pixels == Pixels::Random {
-            return Err(Error::setting("pixels", "`sobol` or `every`, which can be drawn camera by camera", "random"));
+            return Err(Error::setting("pixels", "`sobol` or `every`: rays of splats are ordered by camera", "random"));
         }
         Ok(())
     }

@@ -25,15 +25,14 @@ pub use composite::{Hit, Hits};
 pub use extent::{SeenSpace, seen_domain, share_too_near};
 #[cfg(feature = "train")]
 pub use extent::{boxed, middle};
-pub use project::NEAR;
 #[cfg(feature = "train")]
 pub(crate) use project::Shape;
 pub(crate) use project::{Footprint, Projector};
 pub use tiles::tile_of;
-#[cfg(any(feature = "cli", feature = "train"))]
-pub(crate) use {
+#[doc(hidden)]
+pub use {
     composite::{DARK, MOST_OPAQUE},
-    project::{BEYOND, FAINTEST},
+    project::{BEYOND, FAINTEST, NEAR},
 };
 
 use glam::{DMat3, DVec3, Vec3};

@@ -69,6 +69,7 @@ pub struct Projector {
 }
 
 /// A splat's covariances in a view.
+#[cfg_attr(not(feature = "train"), allow(dead_code, reason = "the trainer alone reads scales and axes again"))]
 pub struct Shape {
     /// From the eye to the centre, scene axes.
     pub away: DVec3,
