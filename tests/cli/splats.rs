@@ -138,7 +138,7 @@ fn what_splats_do_not_have_is_refused_by_name() {
     let desk = desk();
     for option in [
         "--gradient finite-difference",
-        "--cutoff 1e-5",
+        "--cutoff 1e-6",
         "--occupancy 64",
         "--audit",
         "--memory 1GiB",

@@ -17,7 +17,7 @@ use super::report;
 use super::streams::tell;
 use crate::Result;
 use crate::dataset::Part;
-use crate::estimate::{Checkpoint, Goal, GridSettings, RaySettings};
+use crate::estimate::{Checkpoint, Feature, Goal, GridSettings, RaySettings};
 use crate::evaluate::TrainingImages;
 use crate::octree::Tile;
 use crate::posterior::Criterion;
@@ -247,6 +247,8 @@ pub struct Args {
     cutoff: f64,
 }
 
+/// Options that only rays that are marched have.
+const OF_MARCH: [&str; 4] = ["--gradient", "--cutoff", "--occupancy", "--audit"];
 /// Most shards of a run.
 const MAX_SHARDS: u64 = 1 << 20;
 
@@ -268,6 +270,11 @@ impl Args {
         self.cameras.find(Part::Training);
         self.command_files().check()?;
         let model = OpenedModel::for_cameras(&self.model.model, self.cameras.cameras.is_some(), self.splat_mode)?;
+        if let Some(expected) = model.model.lacks(Feature::March) {
+            // A model that is not marched has its own derivatives, which `auto` chooses.
+            let marched = &OF_MARCH[usize::from(self.gradient == GradientMethod::Auto)..];
+            given.refuse(marched, expected, model.model.kind())?;
+        }
         let cameras = self.cameras.training(&self.frames, Some(&*model.model), &self.model.model)?;
         let find = |folder: &PathBuf| {
             self.grid.choices().scale().check_images()?;
