@@ -1,6 +1,6 @@
-//! A list that moves no more than its first chunk when it grows.
+//! A list that never moves what it holds.
 
-/// Items of a chunk. The first one grows with its items: small fields, and small files, take little memory.
+/// Items of every chunk. Of its memory, what was never written is not taken (on Linux).
 const CHUNK: usize = 1 << 16;
 
 /// Items, one after the other, in chunks of one size: a list that doubles takes three times the memory when it grows.
@@ -28,9 +28,7 @@ impl<T> ChunkedList<T> {
         }
         let chunk = &mut self.chunks[slot / CHUNK];
         // The last chunk of a copy has no room yet either.
-        if slot >= CHUNK {
-            chunk.reserve_exact(CHUNK - slot % CHUNK);
-        }
+        chunk.reserve_exact(CHUNK - slot % CHUNK);
         chunk.push(item);
         slot as u32
     }
