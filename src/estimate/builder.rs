@@ -221,9 +221,10 @@ impl<P: Finish> Builder<P> {
         self.posterior.memory()
     }
 
-    /// The same, for the plan.
+    /// The same, apart from what is taken and not used.
     pub fn summed(&self) -> Summed {
-        Summed { used: self.memory(), vertices: None }
+        let spare = self.posterior.spare();
+        Summed { used: self.memory() - spare, spare, vertices: None }
     }
 
     /// The settings.

@@ -63,6 +63,8 @@ pub struct Plan {
     pub summing: f64,
     /// Expected size of what is added to the sums to finish the field, bytes.
     pub finishing: f64,
+    /// Expected room beside the sums that is taken and not used, bytes.
+    pub spare: f64,
     /// What the process holds beside sums and field, bytes.
     pub outside: f64,
     /// What decoding pictures takes before there are sums, bytes.
@@ -79,18 +81,18 @@ impl Plan {
     /// Expected peak memory of the process, bytes.
     #[must_use]
     pub fn peak(&self) -> f64 {
-        self.outside + self.picture.max(self.summing + self.finishing)
+        self.outside + self.picture.max(self.spare + self.summing + self.finishing)
     }
 
     /// Expected peak memory of the process if its sums come to so much.
     #[must_use]
-    pub fn peak_of(&self, Summed { used, vertices }: Summed) -> f64 {
+    pub fn peak_of(&self, Summed { used, spare, vertices }: Summed) -> f64 {
         let used = used as f64;
         let finishing = match vertices {
             Some(count) => count as f64 * self.finishing / self.vertices.max(1.0),
             None => used * self.finishing / self.summing.max(1.0),
         };
-        self.outside + self.picture.max(used + finishing)
+        self.outside + self.picture.max(spare as f64 + used + finishing)
     }
 }
 
@@ -99,6 +101,8 @@ impl Plan {
 pub struct Summed {
     /// Sums, and what finds them, bytes.
     pub used: usize,
+    /// Taken and not used, bytes.
+    pub spare: usize,
     /// Vertices of the field that would be made of them, if they were counted.
     pub vertices: Option<usize>,
 }
@@ -257,14 +261,18 @@ impl Planner {
         } else {
             MaxLevels::none(self.lattice.level())
         };
-        let (vertices, summing) = match self.settings.grid {
+        let (vertices, summing, spare) = match self.settings.grid {
             GridKind::Dense => {
-                (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64)
+                (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64, 0.0)
             }
             GridKind::Octree => {
                 let needs = self.census.needs(self.own_scale, &limits, self.settings.tile);
                 let Correction { sums, vertices } = self.correction;
-                (vertices * needs.vertices, sums * needs.summing(self.settings.entries(self.is_part)))
+                (
+                    vertices * needs.vertices,
+                    sums * needs.summing(self.settings.entries(self.is_part)),
+                    needs.spare(sums),
+                )
             }
         };
         let [structure, stored] = if self.settings.grid == GridKind::Dense { [0.0; 2] } else { STRUCTURE };
@@ -286,6 +294,7 @@ impl Planner {
             vertices_unlimited: self.correction.vertices * self.vertices_unlimited,
             summing,
             finishing: vertices * (VALUES + structure + f64::max(building, gathered as f64)),
+            spare,
             outside,
             picture: self.picture,
             file: vertices * (VALUES + stored + in_file) + 12.0 * SURFACE_POINTS as f64,
@@ -309,7 +318,7 @@ impl Planner {
             GridKind::Octree => {
                 // On the coarsest leaves nothing is left to give up if the plan is wrong.
                 let coarsest = self.coarsest();
-                let doubled = coarsest.outside + 2.0 * (coarsest.summing + coarsest.finishing);
+                let doubled = coarsest.outside + coarsest.spare + 2.0 * (coarsest.summing + coarsest.finishing);
                 doubled.max(coarsest.peak() / share)
             }
         };

@@ -162,7 +162,7 @@ impl<'a> Run<'a> {
         };
         // Every group has its own sums, and finishing needs one more.
         let sums = self.settings.goal.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
-        (plan.summing, plan.finishing) = (sums * plan.summing, sums * plan.finishing);
+        (plan.summing, plan.spare, plan.finishing) = (sums * plan.summing, sums * plan.spare, sums * plan.finishing);
         Ok(plan)
     }
 

@@ -199,7 +199,7 @@ fn a_field_of_more_vertices_than_planned_is_not_made() {
     let budget = plain.sums_bytes as f64 + half;
     let wrong = Plan { vertices: plan.vertices / 3.0, finishing: plan.finishing / 3.0, outside: 0.0, ..plan };
     // By its sums alone, nothing seems to be wrong to the end.
-    assert!(wrong.peak_of(Summed { used: plain.sums_bytes, vertices: None }) < budget);
+    assert!(wrong.peak_of(Summed { used: plain.sums_bytes, spare: 0, vertices: None }) < budget);
     let mut run = prepared();
     run.limits.set_plan(wrong);
     run.limits.bound_without_process(budget as u64);

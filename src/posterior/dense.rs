@@ -101,6 +101,10 @@ impl Posterior for DensePosterior {
         self.sums.capacity() * size_of::<VertexSums>()
     }
 
+    fn spare(&self) -> usize {
+        0
+    }
+
     fn vertices(&self, _refinement: &Refinement) {}
 
     fn count(&self, (): &()) -> usize {

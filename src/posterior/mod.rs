@@ -66,6 +66,9 @@ pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
     /// Current size on the heap, bytes.
     fn memory(&self) -> usize;
 
+    /// The part of [`Posterior::memory`] that no sums use yet, bytes.
+    fn spare(&self) -> usize;
+
     /// The vertices of the field of these sums.
     fn vertices(&self, refinement: &Refinement) -> Self::Vertices;
 

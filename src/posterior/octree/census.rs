@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::pilot_counts::{Counts, PilotCounts};
-use super::sparse::{BLOCK_BYTES, BRICK_BYTES};
+use super::sparse::{BLOCK_BYTES, BRICK_BYTES, spare_bytes};
 use crate::geometry::Lattice;
 use crate::io::mix;
 use crate::octree::{Leaves, MaxLevels, Tile, Wanted, morton};
@@ -145,10 +145,16 @@ pub struct Needs {
 }
 
 impl Needs {
-    /// Bytes of the sums, and of what finds them.
+    /// Bytes of the sums, and of what finds them, without what is spare.
     #[must_use]
     pub fn summing(&self, entries: Entries) -> f64 {
         entries.vertex_bytes() as f64 * self.sums + (BLOCK_BYTES + BRICK_BYTES) * self.bricks
+    }
+
+    /// Expected room beside them that is taken and not used, bytes, if there are `times` as many.
+    #[must_use]
+    pub fn spare(&self, times: f64) -> f64 {
+        spare_bytes(times * self.sums, times * self.bricks)
     }
 }
 

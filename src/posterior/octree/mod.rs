@@ -15,9 +15,9 @@
 //! therefore receives its contributions in ray order, whatever the number of threads.
 
 mod census;
-mod chunks;
 mod cuts;
 mod key;
+mod pages;
 mod pilot_counts;
 mod refine;
 mod scattered;
@@ -205,6 +205,10 @@ impl<S: Sums> Posterior for OctreePosterior<S> {
 
     fn memory(&self) -> usize {
         self.sums.memory()
+    }
+
+    fn spare(&self) -> usize {
+        self.sums.spare()
     }
 
     fn vertices(&self, refinement: &Refinement) -> Octree {

@@ -14,8 +14,8 @@ use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
-use super::chunks::ChunkedList;
 use super::key::{BlockCode, Contribution, Contributions, PARTITIONS, VertexKey};
+use super::pages::{PagedList, expected_spare};
 use crate::posterior::Sums;
 
 /// Where the eight parts of something are in a list of its partition: a block's bricks, or the sums of a brick's
@@ -50,6 +50,12 @@ pub const BRICK_BYTES: f64 = size_of::<Slots>() as f64;
 /// Expected bytes of its part of the table of blocks, which have two to four bricks.
 pub const BLOCK_BYTES: f64 = 20.0;
 
+/// Expected bytes that are not used yet beside those of so many sums and bricks.
+pub fn spare_bytes(sums: f64, bricks: f64) -> f64 {
+    let of_partition = [sums, bricks].map(|count| expected_spare((count / PARTITIONS as f64) as usize));
+    (PARTITIONS * of_partition.iter().sum::<usize>()) as f64
+}
+
 /// Number of contributions whose slots are looked up before the first of them is added.
 const AHEAD: usize = 32;
 
@@ -57,14 +63,14 @@ const AHEAD: usize = 32;
 #[derive(Debug, Clone)]
 struct Partition<S: Sums> {
     blocks: FxHashMap<BlockCode, Slots>,
-    bricks: ChunkedList<Slots>,
+    bricks: PagedList<Slots>,
     /// In the order in which rays first touched their vertices.
-    sums: ChunkedList<S>,
+    sums: PagedList<S>,
 }
 
 impl<S: Sums> Default for Partition<S> {
     fn default() -> Self {
-        Self { blocks: FxHashMap::default(), bricks: ChunkedList::default(), sums: ChunkedList::default() }
+        Self { blocks: FxHashMap::default(), bricks: PagedList::default(), sums: PagedList::default() }
     }
 }
 
@@ -218,6 +224,11 @@ impl<S: Sums> SparseSums<S> {
     /// Bytes on the heap.
     pub fn memory(&self) -> usize {
         self.partitions.iter().map(Partition::memory).sum()
+    }
+
+    /// Of these, the bytes that nothing uses yet.
+    pub fn spare(&self) -> usize {
+        self.partitions.iter().map(|partition| partition.sums.spare() + partition.bricks.spare()).sum()
     }
 }
 
