@@ -9,7 +9,7 @@
 use rayon::prelude::*;
 
 use super::builder::{Builder, Finish};
-use super::{Estimation, Feature, GridSettings, RaySettings, SamplingError, require};
+use super::{Estimation, GridSettings, RaySettings, SamplingError};
 use crate::geometry::Lattice;
 use crate::rays::{RayStream, RunProgress, Shard};
 use crate::render::GradientMethod;
@@ -56,7 +56,6 @@ impl Audit {
     /// Audits a run whose rays are those of `stream`, on `lattice`.
     pub(super) fn measure<P: Finish>(run: &Estimation, stream: &RayStream, lattice: &Lattice) -> Result<Self> {
         let Estimation { model, domain, rays, monitor, .. } = run;
-        require(*model, Feature::March, "audit")?;
         let Some(field) = stream.source.marched().map(|volume| volume.tracer.field) else {
             return Err(Error::setting("audit", "rays that are marched", model.kind()));
         };

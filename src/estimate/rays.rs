@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::{Model, PositionCheck};
+use super::{Feature, Model, PositionCheck, require};
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::Monitor;
@@ -139,7 +139,7 @@ impl RaySettings {
         lattice: &Lattice,
         monitor: &dyn Monitor,
     ) -> Result<RayStream<'a>> {
-        model.check_settings(self)?;
+        self.check_for(model)?;
         let pixel_offset = self.offset_for(model);
         if !(0.0..=1.0).contains(&pixel_offset) {
             return Err(Error::setting("pixel offset", "a number from 0 to 1", format!("{pixel_offset:e}")));
@@ -153,6 +153,26 @@ impl RaySettings {
             reach: None,
             pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
         })
+    }
+
+    /// Refuses settings of a march for a model that is not marched, and pixels that cannot be drawn camera by camera.
+    fn check_for(&self, model: &dyn Model) -> Result<()> {
+        let defaults = Self::default();
+        // `auto` chooses own derivatives, and such a model has no others.
+        let is_open = self.gradient == defaults.gradient || self.gradient == GradientMethod::Auto;
+        for (what, is_set, feature) in [
+            ("march step", self.march_step.is_some(), Feature::March),
+            ("finite-difference step", self.step.is_some(), Feature::March),
+            ("gradient", !is_open, Feature::March),
+            ("cutoff", self.cutoff != defaults.cutoff, Feature::March),
+            ("occupancy", self.occupancy != defaults.occupancy, Feature::March),
+            ("pixels", self.pixels == Pixels::Random, Feature::AnyOrder),
+        ] {
+            if is_set {
+                require(model, feature, what)?;
+            }
+        }
+        Ok(())
     }
 
     /// `field` as training rays see it, differentiated for `lattice`.

@@ -101,8 +101,7 @@ impl CoverageCheck {
         };
         let looked = framing::views(&few, rays, stream.pixel_offset);
         // A field that wants many points at once sees all views as one; of others, no more are held than are traced.
-        let is_batched = source.marched().is_some_and(|volume| volume.tracer.field.batch() > 0);
-        let together = if is_batched { looked.len().max(1) } else { rayon::current_num_threads() };
+        let together = if source.batch() > 0 { looked.len().max(1) } else { rayon::current_num_threads() };
         let mut seen: Vec<Seen> = Vec::new();
         for views in looked.chunks(together) {
             let points: Vec<_> = views.iter().map(|view| (view.camera, view.points.clone())).collect();

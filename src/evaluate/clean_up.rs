@@ -99,8 +99,8 @@ fn empty_view(truth: &TrueView, renderer: &dyn Renderer) -> RenderedView {
     RenderedView { resolution: truth.camera.resolution, pixels, ..RenderedView::default() }
 }
 
-/// Renders `truths` as `whole` has the model, before and after removing density, or splats, above each of `thresholds`. The
-/// first entry is the field as it is. A stage of its own for the monitor.
+/// Renders `truths` as `whole` has the model, before and after removing density, or splats, above each of `thresholds`.
+/// The first entry is the model as it is. A stage of its own for the monitor.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`], and if the uncertainty cannot be read.

@@ -14,8 +14,7 @@ const SUFFIX: &str = ".part";
 
 /// Makes what will be `target` with `make`, in the same folder, under the name `.octobayes-TARGET-….part`.
 ///
-/// Removes what killed processes left of the same target. Whoever is alive holds a lock of its part, which ends with
-/// the process.
+/// Removes what killed processes left of the same target. A process locks its part as long as it lives.
 pub fn beside<T>(target: &Path, mode: u32, make: impl FnOnce(&Builder, &Path) -> io::Result<T>) -> io::Result<T> {
     let name = target.file_name().unwrap_or_default().to_string_lossy();
     // Long names are cut, because most systems allow 255 bytes, and a hash tells them apart.

@@ -83,7 +83,7 @@ impl Viewer<'_> {
     /// Whether cameras are to be looked through one after the other: if the model is asked from the calling thread, for
     /// many points at once, or if a view takes memory and is itself prepared by all threads.
     pub fn takes_turns(&self) -> bool {
-        self.source.marched().is_none_or(|volume| volume.tracer.field.batch() > 0)
+        self.source.marched().is_none() || self.source.batch() > 0
     }
 
     /// The rays of a view: all of them cameras' first pixels of the same low-discrepancy sequence. Those of one tile
@@ -190,7 +190,7 @@ pub fn samples(view: &dyn CameraView, points: &[ImagePoints], monitor: &dyn Moni
     finite(view.samples(points, monitor)?, points)
 }
 
-/// Refuses samples of which too many rays were dropped.
+/// Refuses samples if too many of their rays were dropped.
 fn finite(samples: Vec<RaySamples>, points: &[ImagePoints]) -> Result<Vec<RaySamples>> {
     let rays: u64 = points.iter().map(|points| points.at.len() as u64).sum();
     let dropped: u64 = samples.iter().map(|batch| batch.dropped).sum();

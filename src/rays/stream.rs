@@ -14,7 +14,7 @@ use super::seeds::Purpose;
 use super::shard::{BATCH, RaySet, RunProgress, Shard};
 use crate::geometry::{Aabb, Camera, Mask, Ray};
 use crate::monitor::{Monitor, check};
-use crate::render::{RayBatch, RaySamples, Renderer, VolumeRenderer, WeightedSamples};
+use crate::render::{RayBatch, RaySamples, Renderer, WeightedSamples};
 use crate::{Error, Result};
 
 /// Largest fraction of rays that may be dropped because the field was not finite. Beyond it, a run fails.
@@ -156,7 +156,7 @@ impl<'a> RayStream<'a> {
         };
         let drawn: Vec<RayBatch> = batches.clone().into_par_iter().map(|n| self.batch(shard, n)).collect();
         let advance = |rays| monitor.advance(rays);
-        let samples = if volume.tracer.field.batch() > 0 {
+        let samples = if volume.batch() > 0 {
             grouped(volume.samples(&drawn, monitor, advance)?)
         } else {
             let portions: Vec<RayBatch> =
@@ -232,9 +232,7 @@ impl<'a> RayStream<'a> {
         let mut progress = from;
         // Groups of batches that are drawn at once; of a volume that answers any number of points, less than one.
         let (groups, mut by_camera) = match self.source.marched() {
-            Some(VolumeRenderer { tracer, .. }) => {
-                ((AT_FIRST * tracer.field.batch()).div_ceil(FIRST_POINTS * GROUP as usize) as u64, None)
-            }
+            Some(volume) => ((AT_FIRST * volume.batch()).div_ceil(FIRST_POINTS * GROUP as usize) as u64, None),
             None => {
                 let Self { cameras, pixels, pixel_offset, .. } = self;
                 let by_camera = CameraByCamera::new(&*self.source, cameras, pixels, *pixel_offset, shard.rays)?;
@@ -314,8 +312,7 @@ impl RayStream<'_> {
             check(monitor)?;
             let group: Vec<u64> = (group..(group + GROUP).min(batches)).collect();
             // A field that wants many points at once sees the whole group as one.
-            let (each, together) =
-                if volume.tracer.field.batch() > 0 { (group.len(), usize::MAX) } else { (1, RAYS_TRACED) };
+            let (each, together) = if volume.batch() > 0 { (group.len(), usize::MAX) } else { (1, RAYS_TRACED) };
             let found: Vec<Vec<[f32; 3]>> = group
                 .par_chunks(each)
                 .map(|batches| {

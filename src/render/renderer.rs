@@ -4,7 +4,6 @@
 //! rays are drawn camera by camera.
 
 use glam::{DVec3, Vec3};
-
 use rayon::prelude::*;
 
 use super::{
@@ -120,6 +119,11 @@ pub trait Renderer: Send + Sync {
     /// Distance between the samples of a ray, scene units; `None` if rays are not marched.
     fn march_step(&self) -> Option<f64> {
         self.marched().map(|volume| volume.tracer.marcher.step)
+    }
+
+    /// Smallest efficient batch, in points; 0 if a few hundred are enough.
+    fn batch(&self) -> usize {
+        self.marched().map_or(0, |volume| volume.tracer.field.batch())
     }
 
     /// Source of the derivatives: a model that is not marched has its own.

@@ -47,7 +47,7 @@ impl VolumeRenderer<'_> {
         let Some(differentiation) = differentiation else {
             return Err(Error::setting("Jacobians", "a source of the field's derivatives", "none"));
         };
-        if tracer.field.batch() > 0 {
+        if self.batch() > 0 {
             let samples = tracer.jacobians_together(batches, differentiation, monitor)?;
             on_rays(batches.iter().map(|batch| batch.rays.len() as u64).sum());
             return Ok(samples);
@@ -84,7 +84,7 @@ impl VolumeRenderer<'_> {
 
     /// How many of `views` the field sees as one: all, if it wants many points at once.
     fn together<T>(&self, views: &[T]) -> usize {
-        if self.tracer.field.batch() > 0 { views.len().max(1) } else { 1 }
+        if self.batch() > 0 { views.len().max(1) } else { 1 }
     }
 }
 

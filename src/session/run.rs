@@ -147,6 +147,9 @@ impl Session {
             None => {
                 let (domain, messages) = model.covered(&self.cameras, self.rays.background, monitor)?;
                 messages.into_iter().for_each(&mut *tell);
+                if let Domain::Contracted { .. } = domain {
+                    tell(Message::Note(format!("domain: the model's own, {domain} (--box for a box)")));
+                }
                 domain
             }
         };

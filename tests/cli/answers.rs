@@ -1,4 +1,4 @@
-//! Answers of the program in all stated formats, and how it tells of long work.
+//! Output of the program in all stated formats, and its progress during long work.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -238,8 +238,8 @@ fn pictures_are_previews_with_the_cameras_aspect_ratio_unless_told_otherwise() {
 #[ignore = "slow: whole runs as processes"]
 fn long_work_tells_off_a_terminal_how_far_it_is() {
     let desk = Desk::new(4, 32);
-    // How much time is left comes later, the later the slower the machine is.
-    let is_progress = |line: &str| line.starts_with("rays: ") && line.contains(" %)");
+    let is_progress =
+        |line: &str| line.starts_with("rays: ") && line.contains(" %), about ") && line.contains(" s left");
     assert!(!desk.said(FIELD).lines().any(is_progress));
     let started = std::time::Instant::now();
     let mut child =

@@ -13,8 +13,8 @@ const VALUES: [&str; 8] = ["", "0", "-1", "18446744073709551615", "1e300", "1e-3
 const NO_NUMBERS: &str = "PATH DIR FILE OUT FIELD.oct MODEL SAMPLES.npz SHEET.png PLOT.svg CURVES.csv VIEW.html \
     MODEL.safetensors DATASET PATTERN";
 
-/// What is wrong with what the program does, if anything. It has 8 GB of address space; after a second it is told to
-/// end, because numbers of rays and steps may ask for days, and has a minute for that.
+/// The fault of a run, if it has one. A run has 8 GB of address space. Numbers of rays and steps may take days, so a
+/// signal ends it after a second, and it has a minute to do so.
 fn fault(desk: &Desk, args: &[String]) -> Option<String> {
     let script = "ulimit -v 8000000; exec timeout --preserve-status -k 60 1 \"$0\" \"$@\"";
     let mut command = Command::new("sh");

@@ -1,5 +1,5 @@
-//! Input that would give a wrong answer in silence is refused: exit code 2, one line that names the place, the expected
-//! and the found, nothing on stdout, no file left or changed. What readers refuse by themselves is tested beside them.
+//! The program refuses input that would give a wrong result without a sign: exit code 2, one line with the place, what
+//! it expected and what it found, nothing on stdout, no file left or changed. Readers have tests of their own.
 
 use octobayes::dataset::write_transforms;
 use octobayes::geometry::opencv;

@@ -33,8 +33,6 @@ pub enum Feature {
     Pooling,
     /// A comparison with its training images, pixel by pixel.
     Images,
-    /// Cells: grids of density, meshes and reports of surfaces.
-    Cells,
 }
 
 /// A trained model.
@@ -101,7 +99,7 @@ pub trait Model: Send + Sync {
 
     /// Whether its images depend on the size of a pixel, so that they look right only at the size of the training.
     fn depends_on_pixels(&self) -> bool {
-        false
+        self.field().is_none()
     }
 
     /// Whether another model of the same kind is drawn in the same way.
@@ -140,17 +138,10 @@ pub trait Model: Send + Sync {
         false
     }
 
-    /// The kind of models that would have a feature, in words, if this one does not.
-    fn lacks(&self, _feature: Feature) -> Option<&'static str> {
-        None
-    }
-
-    /// Refuses settings that do not apply to the model.
-    ///
-    /// # Errors
-    /// If there is one.
-    fn check_settings(&self, _settings: &RaySettings) -> Result<()> {
-        Ok(())
+    /// The kind of models that would have a feature, in words, if this one does not. What is no field is not marched,
+    /// and its rays are ordered by camera.
+    fn lacks(&self, feature: Feature) -> Option<&'static str> {
+        if self.field().is_some() { None } else { lacks_of_no_field(feature) }
     }
 
     /// The model for training rays, differentiated for `lattice`.
@@ -206,6 +197,18 @@ pub trait Model: Send + Sync {
     /// The splats, for what only splats have.
     fn splats(&self) -> Option<&Splats> {
         None
+    }
+}
+
+/// [`Model::lacks`] of what is no field.
+fn lacks_of_no_field(feature: Feature) -> Option<&'static str> {
+    match feature {
+        Feature::March => Some("a volume, whose rays are marched and whose density is differentiated"),
+        Feature::AnyOrder => {
+            Some("a volume: rays of other models are ordered by camera; a part of them does not sample all views")
+        }
+        Feature::Density => Some("a volume, which has a density"),
+        Feature::Pooling | Feature::Images => None,
     }
 }
 

@@ -4,24 +4,20 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 
-use super::{Feature, Model};
+use super::{Feature, Model, lacks_of_no_field};
+use crate::Result;
 use crate::estimate::RaySettings;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::{Message, Monitor};
-use crate::rays::Pixels;
-use crate::render::{GradientMethod, Renderer};
+use crate::render::Renderer;
 use crate::splats::{NEAR, SplatRenderer, Splats, seen_domain, share_too_near};
 use crate::uncertainty::{Answers, is_certain};
-use crate::{Error, Result};
 
 /// A share of splats that are too near to be drawn, above which they are no mere floaters.
 const MOST_TOO_NEAR: f64 = 0.02;
 /// Least share of opaque splats within the box of what the cameras see. Four trainings of a hundred, ten and twelve
 /// views have 0.997 to 1; with cameras at a quarter of their distance 0.51 to 0.64.
 const LEAST_INSIDE: f64 = 0.8;
-
-/// What has the settings of a march.
-const MARCHED: &str = "a volume, whose rays are marched and whose density is differentiated";
 
 impl Model for Splats {
     fn kind(&self) -> &'static str {
@@ -51,27 +47,18 @@ impl Model for Splats {
                 100.0 * seen.behind
             )));
         }
-        match seen.domain {
-            Domain::Contracted { .. } => {
-                messages.push(Message::Note(format!("domain: the model's own, {} (--box for a box)", seen.domain)));
-            }
-            Domain::Box(bounds) => {
-                let [low, high] = [bounds.min(), bounds.max()];
-                messages.push(Message::Note(format!(
-                    "the cameras see splats from {low:.3} to {high:.3}; the field covers that (--box)"
-                )));
-                messages.extend((seen.behind == 0.0).then(|| share(self, &bounds)).flatten());
-            }
+        if let Domain::Box(bounds) = seen.domain {
+            let [low, high] = [bounds.min(), bounds.max()];
+            messages.push(Message::Note(format!(
+                "the cameras see splats from {low:.3} to {high:.3}; the field covers that (--box)"
+            )));
+            messages.extend((seen.behind == 0.0).then(|| share(self, &bounds)).flatten());
         }
         Ok((seen.domain, messages))
     }
 
     fn check_camera(&self, camera: &Camera) -> Result<()> {
         SplatRenderer::check_cameras([camera])
-    }
-
-    fn depends_on_pixels(&self) -> bool {
-        true
     }
 
     fn check_drawn_like(&self, other: &dyn Model) -> std::result::Result<(), [String; 2]> {
@@ -102,36 +89,11 @@ impl Model for Splats {
     }
 
     fn lacks(&self, feature: Feature) -> Option<&'static str> {
-        Some(match feature {
-            Feature::March => MARCHED,
-            Feature::AnyOrder => {
-                "a volume: rays of splats are ordered by camera; a part of them does not sample all views"
-            }
-            Feature::Density => "a volume, which has a density",
-            Feature::Pooling => "a volume: splats are smooth, and pooling would only smear",
-            Feature::Images => "a volume, whose training images are compared with it pixel by pixel",
-            Feature::Cells => "a volume: splats are not cut into cells",
-        })
-    }
-
-    fn check_settings(&self, settings: &RaySettings) -> Result<()> {
-        let defaults = RaySettings::default();
-        // `auto` chooses own derivatives, and splats have no others.
-        let is_open = settings.gradient == defaults.gradient || settings.gradient == GradientMethod::Auto;
-        let of_volumes = [
-            ("march step", settings.march_step.is_some()),
-            ("finite-difference step", settings.step.is_some()),
-            ("gradient", !is_open),
-            ("cutoff", settings.cutoff != defaults.cutoff),
-            ("occupancy", settings.occupancy != defaults.occupancy),
-        ];
-        if let Some((what, _)) = of_volumes.into_iter().find(|(_, is_set)| *is_set) {
-            return Err(Error::setting(what, MARCHED, self.kind()));
+        match feature {
+            Feature::Pooling => Some("a volume: splats are smooth, and pooling would only smear"),
+            Feature::Images => Some("a volume, whose training images are compared with it pixel by pixel"),
+            Feature::March | Feature::AnyOrder | Feature::Density => lacks_of_no_field(feature),
         }
-        if settings.pixels == Pixels::Random {
-            return Err(Error::setting("pixels", "`sobol` or `every`: rays of splats are ordered by camera", "random"));
-        }
-        Ok(())
     }
 
     fn for_rays<'a>(&'a self, settings: &RaySettings, _: &Lattice, _: &dyn Monitor) -> Result<Arc<dyn Renderer + 'a>> {

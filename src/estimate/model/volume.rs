@@ -9,7 +9,7 @@ use crate::Result;
 use crate::estimate::RaySettings;
 use crate::field::{Intrinsics, RadianceField, TrainedField};
 use crate::geometry::{Aabb, Camera, Domain, Lattice, NamedCamera};
-use crate::monitor::{Message, Monitor};
+use crate::monitor::Monitor;
 use crate::render::{INSIDE_MATTER_SAMPLES, Renderer, Tracer, VolumeRenderer};
 use crate::uncertainty::{Answers, ThresholdedField};
 
@@ -32,17 +32,6 @@ impl<F: TrainedField> Model for F {
 
     fn natural_domain(&self) -> Domain {
         TrainedField::natural_domain(self)
-    }
-
-    fn covered(&self, _: &[Camera], _: Vec3, _: &dyn Monitor) -> Result<(Domain, Vec<Message>)> {
-        let domain = TrainedField::natural_domain(self);
-        let note = match domain {
-            Domain::Box(_) => None,
-            Domain::Contracted { .. } => {
-                Some(Message::Note(format!("domain: the model's own, {domain} (--box for a box)")))
-            }
-        };
-        Ok((domain, note.into_iter().collect()))
     }
 
     fn stores_cameras(&self) -> bool {

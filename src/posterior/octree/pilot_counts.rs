@@ -167,9 +167,9 @@ mod tests {
     use super::*;
 
     /// Counts of `touches` rays that each touch one of `vertices` at random.
-    fn counts(touches: u64, vertices: u64) -> Counts {
+    fn counts(seed: u64, touches: u64, vertices: u64) -> Counts {
         let mut rays = vec![0_u32; vertices as usize];
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
         (0..touches).for_each(|_| rays[rng.random_range(0..vertices as usize)] += 1);
         let number = |n: u32| rays.iter().filter(|&&r| r == n).count() as f64;
         Counts { touches: touches as f64, distinct: vertices as f64 - number(0), once: number(1), twice: number(2) }
@@ -177,13 +177,14 @@ mod tests {
 
     #[test]
     fn a_few_rays_predict_how_many_vertices_many_rays_touch() {
-        // A pilot sees a tenth of 10,000 vertices, some 45 of them twice: Chao's estimate has a standard error of 14 %.
-        let pilot = counts(1000, 10_000);
-        assert!(pilot.distinct < 1000.0);
+        // A pilot sees a tenth of 10,000 vertices, some 45 of them twice: Chao's estimate has a standard error of 14 %,
+        // and the mean of 16 of them one of 3.6 %, beside a bias of some 2 %. The bound is three errors and that.
+        let pilots: Vec<Counts> = (0..16).map(|seed| counts(seed, 1000, 10_000)).collect();
+        assert!(pilots.iter().all(|pilot| pilot.distinct < 1000.0));
         for scale in [1_u64, 10, 100] {
-            let found = pilot.vertices(scale as f64);
-            let truth = counts(1000 * scale, 10_000).distinct;
-            assert!((found / truth - 1.0).abs() < 0.42, "scale {scale}: {found} expected, {truth} touched");
+            let found = pilots.iter().map(|pilot| pilot.vertices(scale as f64)).sum::<f64>() / 16.0;
+            let truth = counts(16, 1000 * scale, 10_000).distinct;
+            assert!((found / truth - 1.0).abs() < 0.13, "scale {scale}: {found} expected, {truth} touched");
         }
     }
 
