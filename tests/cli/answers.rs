@@ -242,8 +242,9 @@ fn long_work_tells_off_a_terminal_how_far_it_is() {
         |line: &str| line.starts_with("rays: ") && line.contains(" %), about ") && line.contains(" s left");
     assert!(!desk.said(FIELD).lines().any(is_progress));
     let started = std::time::Instant::now();
-    let mut child =
-        desk.command(&format!("{} --threads 1", FIELD.replace("3000", "1G"))).stderr(Stdio::piped()).spawn().unwrap();
+    // Minutes in all; the time left is known from a fiftieth of it on.
+    let long = format!("{} --threads 1", FIELD.replace("3000", "20M"));
+    let mut child = desk.command(&long).stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
     let line = lines.by_ref().map(Result::unwrap).find(|line| is_progress(line));
     assert!(line.is_some() && started.elapsed().as_secs() >= 10, "{line:?} after {:?}", started.elapsed());
