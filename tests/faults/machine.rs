@@ -247,7 +247,7 @@ fn kills_while_writing_leave_no_half_field() {
         for part in parts(&desk) {
             left += 1;
             let name = part.file_name().unwrap().to_str().unwrap();
-            assert!(was_killed && name.starts_with(".octobayes-"), "{name}");
+            assert!(was_killed && name.starts_with(".octobayes-") && name.ends_with(".part"), "{name}");
             let whole = std::fs::read(&part).unwrap() == new;
             assert_eq!(UncertaintyField::read(&part).is_ok(), whole, "half a field can be read");
             std::fs::remove_file(part).unwrap();
