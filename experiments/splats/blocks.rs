@@ -2,7 +2,6 @@
 //! field, and the Fisher information of its colour. Baselines, from the same samples as the field's sums.
 
 use glam::{DMat3, DVec3, Vec3};
-use octobayes::Result;
 use octobayes::posterior::{DataScale, Information};
 use octobayes::render::{DepthSample, DepthVariance, Probed, ProbedField, RaySamples};
 use octobayes::splats::Splats;
@@ -94,8 +93,8 @@ impl DepthVariance for Blocks {
 
 impl ProbedField for Blocks {
     /// log10 U of the splats at some centres.
-    fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
+    fn at(&self, points: &[Vec3]) -> Vec<Probed> {
         let of = |x: &Vec3| 0.5 * trace(&self.covariance[self.index.of(*x)]).log10();
-        Ok(points.iter().map(|x| Probed { value: of(x), rays: f64::NAN }).collect())
+        points.iter().map(|x| Probed { value: of(x), rays: f64::NAN }).collect()
     }
 }

@@ -256,7 +256,6 @@ def uncertainty(
     audit: bool = False,
     images: Any = None,
     shard: str | tuple[int, int] | None = None,
-    tile: str | tuple[int, int] | None = None,
     executor: Executor | None = None,
     shards: int | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
@@ -305,11 +304,11 @@ def uncertainty(
     'analytic': the model's own derivatives; 'auto': these if it has any); covariance ('diagonal', 'block', 'trace');
     refine ('sensitivity', 'density', 'ray-count', or several); memory in bytes; step in edges of the finest lattice;
     error_bars (number of groups); audit (measure what skipped samples and the derivatives cost, for
-    :attr:`Uncertainty.report`); shard and tile (a part of the rays or of space, which :func:`merge` joins); checkpoint
-    (a file: the state is saved every minute, and a run with the same arguments goes on from there unless ``restart``);
-    scale ('paper', or 'data': a standard deviation in scene units, which needs the noise that training left, as
-    ``noise``, 10^(-PSNR/20), or recorded in the model, and cameras of the size that the model was trained at).
-    ``lambda_`` is ``--lambda``.
+    :attr:`Uncertainty.report`); shard (a part of the rays, which :func:`merge` joins); checkpoint (a file: the state is
+    saved every minute, and a run with the same arguments goes on from there unless ``restart``); scale
+    ('paper', or 'data': a standard deviation in scene units, which needs the noise that training left, as ``noise``,
+    10^(-PSNR/20), or recorded in the model, and cameras of the size that the model was trained at). ``lambda_`` is
+    ``--lambda``.
 
     images: the training images; their photometric residual is added to deviations of depth (``scale='data'``). The
     folder from which the cameras' names start, or a list of files, one per camera.
@@ -368,8 +367,6 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
         raise wrong("error_bars", "None with shard, which is one group of rays", given.error_bars)
     if flag("restart", given.restart) and given.checkpoint is None:
         raise wrong("restart", "a checkpoint beside it", "none")
-    if given.tile is not None and given.images is not None:
-        raise wrong("images", "None with tile", "some")
     own_box = getattr(nerf, "box", None)
     if not isinstance(nerf, Opened) and domain["box"] is None and own_box is not None:
         domain["box"] = as_box("nerf.box", own_box)
@@ -387,7 +384,6 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
         **_images(given.images, cameras.names),
         **cameras.options(),
         "memory": None if given.memory is None else whole("memory", given.memory, 1),
-        "tile": _part("tile", given.tile),
         "rays": "all" if isinstance(given.rays, str) and given.rays == "all" else whole("rays", given.rays, 1),
         "target_error": None if given.target_error is None else real("target_error", given.target_error, above=0),
         "seed": whole("seed", given.seed, 0, 2**64 - 1),

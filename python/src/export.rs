@@ -9,7 +9,7 @@ use octobayes::export::{
     MeshSettings, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
 };
 use octobayes::geometry::Camera;
-use octobayes::uncertainty::UncertaintyField;
+use octobayes::uncertainty::{BakedField, UncertaintyField};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -27,9 +27,9 @@ pub fn export_field(py: Python<'_>, field: &Bound<'_, Uncertainty>, path: PathBu
     without_python(py, || match kind {
         "leaves" => {
             let matrices = field.sums().map(|_| field.matrices(field.record().covariance)).transpose()?;
-            write_leaves(&path, &*field, matrices.as_ref())
+            write_leaves(&path, &field, matrices.as_ref())
         }
-        "hyper tree" => write_hyper_tree(&path, &*field),
+        "hyper tree" => write_hyper_tree(&path, &field),
         _ => field.write_official(&path),
     })?
     .or_raise()
@@ -88,7 +88,8 @@ pub fn export_surfaces(
 
 impl Job<'_> {
     fn write(self, engine: &Engine, model: &dyn Model, uncertainty: &UncertaintyField) -> octobayes::Result<()> {
-        let part = self.threshold.map(|threshold| model.certain_part(uncertainty, threshold)).transpose()?.flatten();
+        let unbaked = BakedField::unbaked(uncertainty);
+        let part = self.threshold.map(|threshold| model.certain_part(&unbaked, threshold)).transpose()?.flatten();
         let shown = part.as_deref().unwrap_or(model);
         if let Kind::Mesh(settings) = self.kind {
             let refused = || Error::setting("mesh", "a volume, which has a density", model.kind());

@@ -8,7 +8,7 @@ use octobayes::geometry::Domain;
 use octobayes::open::refuse_model;
 use octobayes::posterior::Covariance;
 use octobayes::session::{Finished, Threshold, described};
-use octobayes::uncertainty::{Observability, OfficialGrid, UncertaintyField};
+use octobayes::uncertainty::{BakedField, Observability, OfficialGrid, UncertaintyField};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -171,7 +171,9 @@ impl Uncertainty {
                 .map_err(|expected| PyValueError::new_err(format!("threshold: {expected}, found {text}")))?,
         };
         let mut texts = Vec::new();
-        let log10 = without_python(py, || threshold.log10(&*self.field, &mut |remark| texts.push(said(remark))))?;
+        let log10 = without_python(py, || {
+            threshold.log10(&BakedField::unbaked(&self.field), &mut |remark| texts.push(said(remark)))
+        })?;
         Ok((log10.or_raise()?, texts))
     }
 

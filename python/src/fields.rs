@@ -31,7 +31,7 @@ pub fn compare(
     let mut texts = Vec::new();
     let pair = [(Path::new("a"), &*a), (Path::new("b"), &*b)];
     check_fields(pair, true, &mut |remark| texts.push(said(remark))).or_raise()?;
-    Ok((json(&without_python(py, || uncertainty::compare(&*a, &*b, points, seed))?.or_raise()?)?, texts))
+    Ok((json(&without_python(py, || uncertainty::compare(&a, &b, points, seed))?.or_raise()?)?, texts))
 }
 
 /// Joins fields of one box from different rays. Returns the field with its warnings.

@@ -8,7 +8,6 @@ use octobayes::export::{MeshSettings, Surfaces};
 use octobayes::geometry::{Aabb, Camera, Distortion, Domain, Norm};
 use octobayes::glam::{DMat3, DVec3, Vec3};
 use octobayes::next_view::Settings;
-use octobayes::octree::Tile;
 use octobayes::posterior::{Covariance, Criterion};
 use octobayes::rays::Pixels;
 use octobayes::render::RayAverage;
@@ -92,8 +91,7 @@ impl<'py> Options<'_, 'py> {
             .tolerance(self.or("tolerance", default.tolerance)?)
             .pooling(self.choice("pooling")?.unwrap_or(default.pooling))
             .criteria(criteria.map_or(default.criteria, FromIterator::from_iter))
-            .memory(self.get("memory")?)
-            .tile(self.tile()?))
+            .memory(self.get("memory")?))
     }
 
     /// What the purpose or the model decides on, where it is not given.
@@ -106,14 +104,6 @@ impl<'py> Options<'_, 'py> {
             noise: self.get("noise")?,
             keep_sums: self.get("keep_sums")?,
         })
-    }
-
-    /// The part of space, if not all of it.
-    fn tile(&self) -> PyResult<Option<Tile>> {
-        let Some([index, of]) = self.get::<[u32; 2]>("tile")? else { return Ok(None) };
-        let expected = "(I, N), N a power of two from 2 on, I from 0 to N - 1";
-        let wrong = || PyValueError::new_err(format!("tile: expected {expected}, found ({index}, {of})"));
-        Tile::new(index, of).ok_or_else(wrong).map(Some)
     }
 
     /// The covariance, if one was named.

@@ -200,6 +200,6 @@ pub fn export_splats(
         let offset = settings.offset_for(splats);
         let measure = |rows: &Vec<_>| SeenSplats::measure(&renderer, rows, offset, pixels, engine.monitor());
         let seen = rows.as_ref().map(measure).transpose()?;
-        write_splats(&path, splats, &*field, seen.as_ref(), threshold).map(|_| ())
+        write_splats(&path, splats, &field, seen.as_ref(), threshold).map(|_| ())
     })
 }

@@ -6,7 +6,7 @@ use octobayes::evaluate::{Reading, TrainingViews};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Monitor;
 use octobayes::render::{DepthVariance, Pixel, Probe, RayAverage, RenderedView, Renderer};
-use octobayes::uncertainty::{UncertaintyField, shown_log10, unknowns};
+use octobayes::uncertainty::{BakedField, UncertaintyField, shown_log10, unknowns};
 use octobayes::{Error, Result};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -51,7 +51,8 @@ pub fn render<'py>(
             let posterior =
                 field.as_deref().filter(|_| depth_error).map(UncertaintyField::depth_posterior).transpose()?;
             let posterior = posterior.iter().map(|posterior| posterior as _).collect::<Vec<&dyn DepthVariance>>();
-            let cut = field.as_deref().zip(threshold);
+            let unbaked = field.as_deref().map(BakedField::unbaked);
+            let cut = unbaked.as_ref().zip(threshold);
             let lattice = field.as_deref().filter(|_| depth_error).map(UncertaintyField::lattice);
             let part = cut.map(|(field, threshold)| model.certain_part(field, threshold)).transpose()?;
             let part = match part {
@@ -70,10 +71,10 @@ pub fn render<'py>(
             } else {
                 None
             };
-            let Some(field) = field.as_deref() else { return Ok((view, confirmed, None)) };
-            let colors = field.color_spread().filter(|_| depth_error);
+            let Some(unbaked) = &unbaked else { return Ok((view, confirmed, None)) };
+            let colors = unbaked.field().color_spread().filter(|_| depth_error);
             let colors = colors.map(|spread| spread.of_view(&camera, offset, &view));
-            let unknowns = unknowns(field, &camera, offset, &view)?;
+            let unknowns = unknowns(unbaked, &camera, offset, &view);
             let shown = view.log10_uncertainty.iter().map(|log10| shown_log10(&view, log10, &unknowns));
             view.log10_uncertainty = shown.collect();
             Ok((view, confirmed, colors))

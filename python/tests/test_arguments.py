@@ -60,7 +60,6 @@ def test_an_angle_and_a_focal_length_may_agree(courtyard, cameras):
         ({"rays": 10**5000}, "rays: expected a whole number, 1 to .* found a whole number of 16610 bits"),
         ({"rays": -(2**70)}, "rays: expected a whole number, 1 or more"),
         ({"memory": 2**64}, "memory: expected a whole number, 1 to"),
-        ({"tile": (0, 2**40)}, "tile: expected a number within its range"),
         ({"tolerance": 10**400}, "tolerance: expected a finite number"),
         ({"views": [2**70]}, "views: expected"),
         ({"box": ([-(10**400)] * 3, [1.5, 1, 1])}, "box: expected an array of real numbers"),

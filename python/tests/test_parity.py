@@ -92,7 +92,6 @@ RUNS = {
         },
     ),
     "a shard": ("m-0.safetensors --shard 1/2", {"nerf": "m-0.safetensors", "shard": "1/2"}),
-    "a tile": ("m-0.safetensors --tile 0/2", {"nerf": "m-0.safetensors", "tile": (0, 2)}),
     "error bars": ("m-0.safetensors --error-bars 3", {"nerf": "m-0.safetensors", "error_bars": 3}),
     "a dense grid": (
         "scene:courtyard --grid dense --fov 50 --resolution 24x20 --cutoff 1e-5",

@@ -4,14 +4,14 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::opened::OpenedField;
+use super::opened::open_field;
 use super::options::{MAX_KEPT_COUNT, count};
 use super::report;
 use super::streams::tell;
 use crate::Result;
 use crate::posterior::Covariance;
 use crate::session::check_fields;
-use crate::uncertainty::Comparison;
+use crate::uncertainty::{Comparison, UncertaintyField, compare};
 
 /// Compare two fields: memory, and |Δ log10 U| in the box and on visible surfaces
 #[derive(clap::Args)]
@@ -48,17 +48,16 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
-        let read = |path: &PathBuf| -> Result<OpenedField> {
-            let field = OpenedField::open(path)?;
+        let read = |path: &PathBuf| -> Result<UncertaintyField> {
+            let field = open_field(path)?;
             match self.covariance {
-                Some(covariance) => Ok(OpenedField::Whole(Box::new(field.whole()?.with_covariance(covariance)?))),
+                Some(covariance) => field.with_covariance(covariance),
                 None => Ok(field),
             }
         };
-        let opened = [read(&self.a)?, read(&self.b)?];
-        let [a, b] = [opened[0].facts(), opened[1].facts()];
+        let [a, b] = [&read(&self.a)?, &read(&self.b)?];
         check_fields([(&self.a, a), (&self.b, b)], self.force, &mut tell)?;
-        let result = crate::uncertainty::compare(opened[0].space(), opened[1].space(), self.points, 0)?;
+        let result = compare(a, b, self.points, 0)?;
         if self.json {
             let mut value = json!(result);
             value["records"] = json!([crate::estimate::facts(a), crate::estimate::facts(b)]);

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use super::files::CommandFiles;
 use super::given::Given;
-use super::opened::OpenedField;
 use super::options::{CameraOptions, MAX_KEPT_COUNT, OfficialOptions, UTF_8, count, heading, parse_positive};
 use super::progress::Bars;
 use super::report;
@@ -19,6 +18,7 @@ use crate::geometry::{Camera, Domain};
 use crate::open;
 use crate::session::{OpenedModel, Threshold, image_settings};
 use crate::splats::{SplatRenderer, Splats};
+use crate::uncertainty::{BakedField, UncertaintyField};
 use crate::{Error, Result};
 
 /// Write a field for other tools: NumPy, ParaView, CloudCompare, Blender, spreadsheets, the official code
@@ -165,15 +165,13 @@ impl Args {
             .check()?;
         self.official.check(&path)?;
         let field = self.official.open(&path)?;
-        let facts = field.facts();
         match (kind, model) {
             (Kind::Field, _) => {
-                let field = field.whole()?.for_queries();
+                let field = field.for_queries();
                 field.write(&self.output)?;
                 return say!("{}: {}", self.output.display(), report::summary(&field.summary()));
             }
             (Kind::Official, _) => {
-                let field = field.whole()?;
                 field.write_official(&self.output)?;
                 let (rays, lambda) = (field.record().rays, field.record().lambda);
                 return say!(
@@ -182,17 +180,17 @@ impl Args {
                 );
             }
             (Kind::Leaves, _) => {
-                let matrices = facts.sums().map(|_| facts.matrices(facts.record().covariance)).transpose()?;
-                write_leaves(&self.output, field.space(), matrices.as_ref())?;
+                let matrices = field.sums().map(|_| field.matrices(field.record().covariance)).transpose()?;
+                write_leaves(&self.output, &field, matrices.as_ref())?;
             }
             (Kind::HyperTree, _) => {
-                if let Domain::Contracted { radius, .. } = facts.lattice().domain() {
+                if let Domain::Contracted { radius, .. } = field.lattice().domain() {
                     announce!(
                         "note: a contracted domain is written as its cube: {radius} scene units around the centre are \
                          unchanged, the rest of space is folded around them"
                     );
                 }
-                write_hyper_tree(&self.output, field.space())?;
+                write_hyper_tree(&self.output, &field)?;
             }
             (_, Some(model)) => self.with_model(kind, &model, &path, &field, bars)?,
             (_, None) => {
@@ -207,8 +205,7 @@ impl Args {
     fn model_and_field(&self) -> Result<(Option<String>, PathBuf)> {
         match &self.names[..] {
             [model, field] => {
-                let is_field =
-                    |path: &Path| path.extension().is_some_and(|e| e == "oct" || e == "npy") || path.is_dir();
+                let is_field = |path: &Path| path.extension().is_some_and(|e| e == "oct" || e == "npy");
                 if is_field(model) && !is_field(field) {
                     let expected = "the model before the field: `export MODEL FIELD.oct`";
                     return Err(Error::setting("MODEL", expected, model.display().to_string()));
@@ -254,40 +251,34 @@ impl Args {
     }
 
     /// Writes what needs the model.
-    fn with_model(&self, kind: Kind, model: &str, path: &Path, field: &OpenedField, bars: &Bars) -> Result<()> {
-        let opened = OpenedModel::of_field(field.facts(), path, model, self.force, &mut tell)?;
-        let settings = image_settings(field.facts());
+    fn with_model(&self, kind: Kind, model: &str, path: &Path, field: &UncertaintyField, bars: &Bars) -> Result<()> {
+        let opened = OpenedModel::of_field(field, path, model, self.force, &mut tell)?;
+        let settings = image_settings(field);
         if let Some(splats) = opened.model.splats() {
             return self.of_splats(kind, splats, settings, field, bars);
         }
         let model = &*opened.model;
-        let threshold = self.threshold.map(|threshold| threshold.log10(field.space(), &mut tell)).transpose()?;
-        let part = threshold.map(|threshold| model.certain_part(field.space(), threshold)).transpose()?.flatten();
-        if self.threshold.is_some() {
-            // Reads every tile once, before any work: what cannot be read would count as removed.
-            field.space().surface()?;
-        }
+        let unbaked = BakedField::unbaked(field);
+        let threshold = self.threshold.map(|threshold| threshold.log10(&unbaked, &mut tell)).transpose()?;
+        let part = threshold.map(|threshold| model.certain_part(&unbaked, threshold)).transpose()?.flatten();
         let shown = part.as_deref().unwrap_or(model);
         if kind == Kind::Mesh {
             let mesh = MeshSettings { resolution: self.cells, density: self.density };
             let volume = open::volume(shown, &opened.name)?;
-            let [vertices, triangles] = write_mesh(&self.output, volume, field.space(), mesh, bars)?;
-            shown.check()?;
+            let [vertices, triangles] = write_mesh(&self.output, volume, field, mesh, bars)?;
             announce!("note: {vertices} vertices, {triangles} triangles");
             return Ok(());
         }
         let views = self.cameras.read(Some(model), &opened.name)?;
         CommandFiles::default().images(&views).output("--output", &self.output).check()?;
         let found = self.surfaces(settings, model, shown, &views, bars)?;
-        shown.check()?;
         if kind == Kind::Report {
             let names: Vec<String> = views.frames.into_iter().map(|frame| frame.name).collect();
-            return write_report(&self.output, &found, &names, field.space());
+            return write_report(&self.output, &found, &names, field);
         }
         announce!("note: {} points", found.positions.len());
-        let facts = field.facts();
-        let matrices = self.ellipsoids.then(|| facts.matrices(facts.record().covariance)).transpose()?;
-        write_points(&self.output, &found, field.space(), matrices.as_ref())
+        let matrices = self.ellipsoids.then(|| field.matrices(field.record().covariance)).transpose()?;
+        write_points(&self.output, &found, field, matrices.as_ref())
     }
 
     /// Writes splats with their uncertainty.
@@ -296,7 +287,7 @@ impl Args {
         kind: Kind,
         splats: &Splats,
         settings: RaySettings,
-        field: &OpenedField,
+        field: &UncertaintyField,
         bars: &Bars,
     ) -> Result<()> {
         if kind != Kind::Points || self.ellipsoids {
@@ -304,7 +295,8 @@ impl Args {
             let found = if self.ellipsoids { "--ellipsoids".into() } else { self.output.display().to_string() };
             return Err(Error::setting("export of splats", expected, found));
         }
-        let threshold = self.threshold.map(|threshold| threshold.log10(field.space(), &mut tell)).transpose()?;
+        let unbaked = BakedField::unbaked(field);
+        let threshold = self.threshold.map(|threshold| threshold.log10(&unbaked, &mut tell)).transpose()?;
         let seen = match &self.cameras.cameras {
             Some(_) => {
                 let views = self.cameras.read(None, "splats")?;
@@ -319,7 +311,7 @@ impl Args {
                 None
             }
         };
-        let left = write_splats(&self.output, splats, field.space(), seen.as_ref(), threshold)?;
+        let left = write_splats(&self.output, splats, field, seen.as_ref(), threshold)?;
         announce!("note: {left} of {} splats", splats.len());
         Ok(())
     }

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use crate::dataset::{Views, taken_for};
 use crate::io::AtomicFile;
 use crate::io::place::{destination, folder_of};
-use crate::uncertainty::TiledField;
 use crate::{Error, Result};
 
 /// All files that a command reads and writes, by the names of their options.
@@ -19,7 +18,7 @@ pub struct CommandFiles {
 }
 
 impl CommandFiles {
-    /// Adds a file to read, or a folder: of tiles, all are read.
+    /// Adds a file to read, or a folder.
     pub fn input(mut self, option: &str, path: impl AsRef<Path>) -> Self {
         self.inputs.push((option.into(), path.as_ref().into()));
         self
@@ -59,14 +58,10 @@ impl CommandFiles {
         paths.into_iter().fold(self, |files, path| files.output(option, path))
     }
 
-    /// Checks that every output can be written, that it is a different file from all others, and that it neither joins
-    /// the tiles of a folder that is read nor seems to be the cameras of a data set.
+    /// Checks that every output can be written, that it is a different file from all others, and that it does not seem
+    /// to be the cameras of a data set.
     pub fn check(&self) -> Result<()> {
-        let mut tiles = Vec::new();
-        for (option, folder) in self.inputs.iter().filter(|(_, path)| path.is_dir()) {
-            tiles.extend(TiledField::files(folder)?.into_iter().map(|path| (option.clone(), path)));
-        }
-        let others = self.inputs.iter().chain(&tiles).map(|input| (only_name(&input.1), input));
+        let others = self.inputs.iter().map(|input| (only_name(&input.1), input));
         let mut others: HashMap<PathBuf, &(String, PathBuf)> = others.collect();
         for output in &self.outputs {
             let (option, path) = output;
@@ -78,12 +73,6 @@ impl CommandFiles {
                 let expected = "a folder without a data set, whose cameras this file would seem to be";
                 let found = format!("{}, beside {}", path.display(), other.display());
                 return Err(Error::setting(option, expected, found));
-            }
-            let place = |path: &Path| only_name(folder_of(path));
-            let is_field = path.extension().is_some_and(|extension| extension == "oct");
-            if let Some((_, tile)) = tiles.iter().find(|(_, tile)| is_field && place(tile) == place(path)) {
-                let expected = format!("a file in another folder than the tiles of {}", folder_of(tile).display());
-                return Err(Error::setting(option, expected, path.display().to_string()));
             }
             drop(AtomicFile::create(path)?);
         }

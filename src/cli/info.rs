@@ -94,7 +94,7 @@ impl Args {
             say!("{value}")?;
             return Ok(());
         }
-        say!("{}\n{}record\n{}", path.display(), report::surfaces(&field)?, report::record(&field))?;
+        say!("{}\n{}record\n{}", path.display(), report::surfaces(&field), report::record(&field))?;
         say!("{}", report::errors(&ErrorBudget::of_field(&field)))?;
         say!("field\n  {}", report::summary(&field.summary()))?;
         say!("  {}", histogram(&field))?;

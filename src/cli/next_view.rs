@@ -7,7 +7,7 @@ use glam::DVec3;
 use serde_json::{Value, json};
 
 use super::files::CommandFiles;
-use super::opened::OpenedField;
+use super::opened::open_field;
 use super::options::{CameraOptions, FrameOptions, ModelArgument, count, heading, of_folder, parse_direction};
 use super::progress::Bars;
 use super::streams::tell;
@@ -168,7 +168,7 @@ impl Args {
             is_exr(path)?;
             self.gain.check_map()?;
         }
-        let field = OpenedField::open(&self.field)?.whole()?;
+        let field = open_field(&self.field)?;
         let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
         // Cameras that are given are read even if they do not count, for the images that no output may replace.
         let counts = self.candidates.is_none() || self.gain == Gain::Coverage || self.cameras.cameras.is_some();

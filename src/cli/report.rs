@@ -9,7 +9,7 @@ use crate::render::GradientMethod;
 pub use crate::session::memory::bytes;
 use crate::session::memory::peak;
 use crate::session::{Finished, PERCENTS};
-use crate::uncertainty::{Answers, Comparison, Difference, Summary, UncertaintyField};
+use crate::uncertainty::{Comparison, Difference, Summary, UncertaintyField};
 
 /// The record of a field as text, one setting per line.
 pub fn record(field: &UncertaintyField) -> String {
@@ -100,14 +100,14 @@ pub fn summary(s: &Summary) -> String {
 }
 
 /// Percentiles of log10 U over visible surfaces, by which thresholds are chosen, as a line; empty without such points.
-pub fn surfaces(field: &dyn Answers) -> Result<String> {
-    let Some(log10) = field.surface_quantiles(PERCENTS.map(|percent| 0.01 * percent))? else {
-        return Ok(String::new());
+pub fn surfaces(field: &UncertaintyField) -> String {
+    let Some(log10) = field.surface_quantiles(PERCENTS.map(|percent| 0.01 * percent)) else {
+        return String::new();
     };
     let listed: Vec<String> = PERCENTS.iter().zip(log10).map(|(p, log10)| format!("{log10:.2} ({p}%)")).collect();
     let quantity = field.record().scale.quantity();
     let prior = field.record().reading().prior().log10();
-    Ok(format!("{quantity} on visible surfaces: {}; prior {prior:.2}\n", listed.join(", ")))
+    format!("{quantity} on visible surfaces: {}; prior {prior:.2}\n", listed.join(", "))
 }
 
 /// Table of |Δ log10 U|.
@@ -229,7 +229,7 @@ pub fn finished(finished: &Finished, as_json: bool) -> Result<()> {
     }
     let Finished { field, errors: budget, sums_bytes, elapsed, .. } = finished;
     // What is read first stands first: the record is for those who come back.
-    say!("{}field\n  {}", surfaces(field)?, summary(&field.summary()))?;
+    say!("{}field\n  {}", surfaces(field), summary(&field.summary()))?;
     let peak = peak().map_or(String::new(), |peak| format!(", {} the peak of the process", bytes(peak as usize)));
     say!("  {} while summing{peak}, {:.1} s", bytes(*sums_bytes), elapsed.as_secs_f64())?;
     say!("{}", errors(budget))?;

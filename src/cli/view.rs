@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 
 use super::files::CommandFiles;
-use super::opened::OpenedField;
+use super::opened::open_field;
 use super::options::{CameraOptions, ModelArgument, count, heading, parse_range};
 use super::progress::Bars;
 use super::render::bar_of;
@@ -17,7 +17,7 @@ use crate::geometry::Camera;
 use crate::render::VolumeRenderer;
 use crate::session::{OpenedModel, image_settings};
 use crate::splats::{SplatRenderer, Splats};
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::{BakedField, UncertaintyField};
 use crate::viewer::{Page, ShownSplats, ShownVolume, SplatsView, VolumeView, write_splats_view, write_volume};
 use crate::{Error, Result};
 
@@ -92,7 +92,7 @@ impl Args {
             return Err(Error::extension(&self.output, "`.html`"));
         }
         self.files().check()?;
-        let field = OpenedField::open(&self.field)?.whole()?;
+        let field = open_field(&self.field)?;
         let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
         let said = match opened.model.splats() {
             Some(splats) => self.of_splats(splats, &opened.name, &field, bars)?,
@@ -131,7 +131,7 @@ impl Args {
             offset,
             background: tracer.background,
             surface: &surface,
-            range: bar_of(field, self.range)?,
+            range: bar_of(&BakedField::unbaked(field), self.range),
             title: &title(&opened.name),
         };
         let view = VolumeView { model, tracer, page };
@@ -161,7 +161,7 @@ impl Args {
             offset,
             background: settings.background,
             surface: if surface.is_empty() { splats.means() } else { &surface },
-            range: bar_of(field, self.range)?,
+            range: bar_of(&BakedField::unbaked(field), self.range),
             title: &title(name),
         };
         let view = SplatsView { splats, seen: seen.as_ref(), page };

@@ -4,12 +4,10 @@ use std::collections::BTreeSet;
 use std::ops::AddAssign;
 use std::path::Path;
 
-use glam::Vec3;
-
 use super::checkpoint::{self, RunKey, State};
 use super::{GridKind, GridSettings, Plan, Summed};
 use crate::geometry::{Domain, Lattice};
-use crate::octree::{Cell, MaxLevels, Octree, Tile, morton};
+use crate::octree::{Cell, MaxLevels, Octree, morton};
 use crate::posterior::{DensePosterior, OctreePosterior, Posterior, RayCoverage, Refinement, Sums, VertexSums};
 use crate::rays::{RaySet, RayStream, RunProgress, SURFACE_WEIGHT, Shard};
 use crate::render::{RaySamples, VolumeRenderer};
@@ -36,12 +34,6 @@ pub const SURFACE_POINTS: usize = 16_384;
 
 /// Maximal number of cells that criteria other than sensitivity may ask for: 3 GB of their keys.
 const MAX_WANTED_CELLS: u64 = 1 << 27;
-
-/// Whether a point lies in the domain, and in the tile if there is one. Matter elsewhere has no U of its own.
-pub(super) fn is_own(lattice: &Lattice, tile: Option<Tile>, x: Vec3) -> bool {
-    let cell = lattice.coordinates(x).map(|u| lattice.cell(u).0);
-    cell.is_some_and(|cell| tile.is_none_or(|tile| tile.owns(lattice.level(), cell)))
-}
 
 /// All finest cells.
 fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
@@ -95,7 +87,7 @@ impl<P: Finish> Builder<P> {
     pub fn new(settings: GridSettings, domain: Domain, plan: Option<&Plan>) -> Result<Self> {
         let lattice = settings.lattice(domain)?;
         let limits = plan.map_or_else(|| MaxLevels::none(lattice.level()), |plan| plan.limits.clone());
-        let posterior = P::empty(lattice, &limits, settings.tile);
+        let posterior = P::empty(lattice, &limits);
         let wanted = if settings.criteria.uniform { every_cell(&lattice)? } else { Vec::new() };
         let rays_per_vertex = plan.map_or(0.0, |plan| plan.rays_per_vertex);
         let (surface, ray_coverage) = (Vec::new(), None);
@@ -105,7 +97,7 @@ impl<P: Finish> Builder<P> {
     /// Starts over on the leaves of `plan`.
     pub fn limit(&mut self, plan: &Plan) {
         (self.limits, self.rays_per_vertex) = (plan.limits.clone(), plan.rays_per_vertex);
-        self.posterior = P::empty(self.lattice, &self.limits, self.settings.tile);
+        self.posterior = P::empty(self.lattice, &self.limits);
         self.surface.clear();
         self.ray_coverage = None;
     }
@@ -160,9 +152,9 @@ impl<P: Finish> Builder<P> {
             self.ray_coverage.get_or_insert_with(|| RayCoverage::new(&self.lattice)).add(batches);
         }
         // In a random sequence the first points are as good as any. A run that traces rays itself replaces them.
-        let (lattice, tile) = (self.lattice, self.settings.tile);
+        let lattice = self.lattice;
         let visible = batches.iter().flat_map(|batch| batch.positions.iter().zip(&batch.weights));
-        let visible = visible.filter(|(x, weight)| **weight >= SURFACE_WEIGHT && is_own(&lattice, tile, **x));
+        let visible = visible.filter(|(x, weight)| **weight >= SURFACE_WEIGHT && lattice.coordinates(**x).is_some());
         self.keep_surface(visible.map(|(x, _)| x.to_array()));
     }
 
@@ -193,7 +185,6 @@ impl<P: Finish> Builder<P> {
             pixel_offset: stream.pixel_offset,
             rays_per_vertex: self.rays_per_vertex,
             limits: crc32fast::hash(format!("{:?}", self.limits.packed()).as_bytes()),
-            tile: self.settings.tile,
         }
     }
 
@@ -210,8 +201,7 @@ impl<P: Finish> Builder<P> {
     /// # Errors
     /// If the file is not the complete state of a run with the same description.
     pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<RunProgress> {
-        let State { posterior, progress, surface, ray_coverage } =
-            checkpoint::load(path, key, &self.limits, self.settings.tile)?;
+        let State { posterior, progress, surface, ray_coverage } = checkpoint::load(path, key, &self.limits)?;
         (self.posterior, self.surface, self.ray_coverage) = (posterior, surface, ray_coverage);
         Ok(progress)
     }
@@ -239,7 +229,7 @@ impl<P: Finish> Builder<P> {
 
     /// An empty builder with the same settings and limits.
     fn emptied(&self) -> Self {
-        let posterior = P::empty(self.lattice, &self.limits, self.settings.tile);
+        let posterior = P::empty(self.lattice, &self.limits);
         let (limits, wanted) = (self.limits.clone(), self.wanted.clone());
         Self { limits, wanted, posterior, surface: Vec::new(), ray_coverage: None, ..*self }
     }
@@ -278,7 +268,7 @@ impl<P: Finish> Builder<P> {
     pub fn vertices(&mut self, source: &FieldSource) -> (P::Vertices, usize) {
         let reading = self.record(source).reading();
         // Of a part of a run, no vertex is negligible: the others may add to it.
-        let is_part = source.shard.is_some_and(|shard| shard.of > 1) || self.settings.tile.is_some();
+        let is_part = source.shard.is_some_and(|shard| shard.of > 1);
         let floor = if is_part { Refinement::EVERYTHING } else { reading.floor() };
         // There may be gigabytes of wanted cells.
         let wanted = std::mem::take(&mut self.wanted);
@@ -303,7 +293,6 @@ impl<P: Finish> Builder<P> {
         let gathers_sums = settings.gathers_sums(record.is_part());
         let field = posterior.field(record, lattice, vertices, gathers_sums);
         let field = if settings.keep_sums { field } else { field.for_queries() };
-        let ray_coverage = ray_coverage.map(|ray_coverage| ray_coverage.within(settings.tile, lattice.level()));
         field.with_surface(surface).with_ray_coverage(ray_coverage)
     }
 

@@ -16,7 +16,7 @@ use super::SURFACE_POINTS;
 use super::builder::{Builder, Finish};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
-use crate::octree::{MaxLevels, Tile};
+use crate::octree::MaxLevels;
 use crate::posterior::{Posterior, RayCoverage, Sums};
 use crate::rays::{Pixels, RaySet, RunProgress, Shard};
 use crate::render::GradientMethod;
@@ -159,7 +159,7 @@ impl<'a> Saver<'a> {
 }
 
 /// Fields of [`RunKey`] have no names in the file: a change there is a new version.
-const FORMAT: Format = (b"OCTOCHK\n", 2);
+const FORMAT: Format = (b"OCTOCHK\n", 3);
 /// Most bytes that the section `run` may claim. It takes some two hundred; only the source's name varies.
 const MAX_RUN_BYTES: usize = 1 << 20;
 
@@ -198,8 +198,6 @@ pub struct RunKey {
     pub rays_per_vertex: f64,
     /// Checksum of these limits.
     pub limits: u32,
-    /// The part of space whose sums are kept, if not all.
-    pub tile: Option<Tile>,
 }
 
 impl RunKey {
@@ -215,7 +213,6 @@ impl RunKey {
             && (record.gradient, record.background) == (Some(self.gradient), Some(self.background))
             && record.march_step.unwrap_or(0.0) == self.march_step
             && *field.lattice() == self.lattice
-            && field.tile() == self.tile
     }
 }
 
@@ -312,12 +309,7 @@ fn progress(path: &Path) -> Result<RunProgress> {
 ///
 /// # Errors
 /// If the file is missing, truncated, altered, or belongs to a run with another description.
-pub(super) fn load<P: Posterior>(
-    path: &Path,
-    key: &RunKey,
-    limits: &MaxLevels,
-    tile: Option<Tile>,
-) -> Result<State<P>> {
+pub(super) fn load<P: Posterior>(path: &Path, key: &RunKey, limits: &MaxLevels) -> Result<State<P>> {
     let (head, mut file) = Head::read(path)?;
     if let Some((what, expected, found)) = first_difference(key, &head.key) {
         let found = format!("{found}, of another run (a restart discards it)");
@@ -328,7 +320,7 @@ pub(super) fn load<P: Posterior>(
         return Err(Error::malformed(path, ["run, grid", "run, what is summed"][k], P::NAME[k], found));
     }
     let keys = file.section::<u64>("keys")?;
-    let posterior = P::restore(key.lattice, limits, tile, &keys, file.section::<P::Sums>("sums")?);
+    let posterior = P::restore(key.lattice, limits, &keys, file.section::<P::Sums>("sums")?);
     let is_valid = |posterior: &P| posterior.slices().flatten().all(|sums| sums.widened().is_valid());
     let posterior = posterior.filter(|posterior| is_valid(posterior) && key.shard.admits(&head.progress));
     let posterior = posterior.ok_or_else(|| {

@@ -257,9 +257,6 @@ impl<'a> Estimation<'a> {
                 let expected = "chosen ones, beside error bars or a mean error: every pixel leaves no such error";
                 Err(Error::setting("pixels", expected, "every pixel"))
             }
-            Goal::Groups(_) | Goal::MeanError(_) if self.grid.tile.is_some() => {
-                Err(Error::setting("tile", "a run of one set of rays", "error bars, or a run to a mean error"))
-            }
             Goal::Groups(_) if self.grid.memory.is_some() => {
                 Err(Error::setting("error bars", "no memory budget, which is for one set of sums", "a budget"))
             }

@@ -1,7 +1,6 @@
 //! Settings of the grid on which information is summed, and of its conversion to a field.
 
 use crate::geometry::{Domain, Lattice};
-use crate::octree::Tile;
 use crate::posterior::{Covariance, Criteria, DensePosterior, Entries, Pooling, Scale};
 use crate::{Error, Result};
 
@@ -47,9 +46,6 @@ setters! {
         /// Maximal peak memory of the process, bytes; `None` for no limit. Leaves stay coarser where it is short, so a
         /// field under a budget depends on what the process takes beside it.
         pub memory: Option<u64> as into,
-        /// The part of space whose sums are kept; [`merge`](crate::uncertainty::merge) joins the tiles. `None` for all
-        /// of it.
-        pub tile: Option<Tile> as into,
         /// Whether the field keeps its sums, for other covariances and merging. Without them an octree takes half of
         /// the memory, or two thirds for [`Covariance::Block`]. A part of a run keeps them all the same.
         pub keep_sums: bool,
@@ -69,7 +65,6 @@ impl Default for GridSettings {
             criteria: Criteria::default(),
             ray_count: 4.0,
             memory: None,
-            tile: None,
             keep_sums: true,
         }
     }
@@ -93,7 +88,7 @@ impl GridSettings {
 
     /// Whether the field is made of a copy of all sums at its vertices; so it is in any run that is a part of another.
     pub(super) fn gathers_sums(&self, is_part: bool) -> bool {
-        is_part || self.tile.is_some() || self.keep_sums || self.pooling.is_on()
+        is_part || self.keep_sums || self.pooling.is_on()
     }
 
     /// What an octree sums of S: no more than is read.
@@ -133,7 +128,6 @@ impl GridSettings {
             let found = "`auto`, whose memory no plan predicts";
             return Err(Error::setting("memory budget", "no pooling", found));
         }
-        self.check_tile(&lattice)?;
         let lambda = self.prior_precision(&lattice);
         let prior = self.covariance.prior(lambda);
         if !(prior as f32).is_normal() {
@@ -141,29 +135,5 @@ impl GridSettings {
             return Err(Error::setting("lambda", "a prior deviation that f32 can hold", found));
         }
         Ok(lattice)
-    }
-
-    /// Refuses what a tile cannot have: it knows only its own part of space.
-    fn check_tile(&self, lattice: &Lattice) -> Result<()> {
-        let Some(tile) = self.tile else { return Ok(()) };
-        if !tile.is_valid() {
-            let expected = format!("I/N, N a power of two from 2 to {}, I from 0 to N - 1", Tile::MAX_TILES);
-            return Err(Error::setting("tile", expected, tile.to_string()));
-        }
-        if lattice.level() < tile.least_level() {
-            let expected = format!("a level from {} on for {} tiles", tile.least_level(), tile.of);
-            return Err(Error::setting("tile", expected, format!("level {}", lattice.level())));
-        }
-        let others = [
-            (self.grid == GridKind::Dense, "a dense grid"),
-            (self.memory.is_some(), "a memory budget, which each tile would meet with other leaves"),
-            (self.pooling.is_on(), "pooling, which needs the sums of neighbours"),
-            (self.criteria.density, "criterion `density`, which refines where no ray passed"),
-            (self.criteria.uniform, "criterion `uniform`"),
-        ];
-        match others.into_iter().find(|(given, _)| *given) {
-            Some((_, found)) => Err(Error::setting("tile", "an octree refined by sensitivity, or by ray count", found)),
-            None => Ok(()),
-        }
     }
 }

@@ -15,7 +15,7 @@ use super::{GridKind, GridSettings, RaySettings, SURFACE_POINTS};
 use crate::geometry::Lattice;
 use crate::io::memory;
 use crate::monitor::Monitor;
-use crate::octree::{MaxLevels, Tile};
+use crate::octree::MaxLevels;
 use crate::posterior::{DensePosterior, FactoredSums, PilotCounts, SpeciesEstimate, VertexSums, list_bytes};
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::render::Outputs;
@@ -159,7 +159,7 @@ pub struct Planner {
 }
 
 impl Planner {
-    /// Maximal number of rays of the pilot, but for one that cuts space into tiles.
+    /// Maximal number of rays of the pilot.
     pub const PILOT: u64 = 16_384;
     /// Rays of the run per ray of a pilot that only predicts.
     pub const CHEAP: u64 = 32;
@@ -176,21 +176,15 @@ impl Planner {
         lattice: Lattice,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
-        let cheap = rays.rays.div_ceil(Self::CHEAP);
-        let pilot = match settings.tile {
-            _ if settings.needs_plan() => Self::PILOT.min(rays.rays),
-            // Of few rays, vertices are counted too badly to be dealt out evenly.
-            Some(tile) if !tile.is_cut() => Self::PILOT.max(cheap).min(rays.rays),
-            _ => Self::PILOT.min(cheap),
-        };
-        let pilot = Shard::whole(pilot);
+        let most = if settings.needs_plan() { rays.rays } else { rays.rays.div_ceil(Self::CHEAP) };
+        let pilot = Shard::whole(Self::PILOT.min(most));
         // Limits by ray count alone are exact.
         let is_exact = settings.memory.is_none() && settings.rays_per_vertex() > 0.0;
         let mut census =
             SpeciesEstimate::new(lattice, if is_exact { usize::MAX } else { MAX_SPECIES }, settings.needs_plan());
         let mut outside = 0.0_f64;
         let mut stream = stream.for_purpose(Purpose::Pilot);
-        if !settings.needs_plan() && settings.tile.is_none() {
+        if !settings.needs_plan() {
             // Only a forecast depends on these rays.
             stream = stream.through_few_cameras();
         }
@@ -202,14 +196,13 @@ impl Planner {
             census.add(batches);
             Ok(())
         })?;
-        let is_part = shard.of > 1 || settings.tile.is_some();
+        let is_part = shard.of > 1;
         let lists = LISTS * list_bytes(settings.entries(is_part), census.longest_batch()) as f64;
         let scale = rays.rays as f64 / pilot.rays as f64;
         // All parts of a run expect the same.
         let own_scale = scale / shard.of as f64;
         let counts = census.counts();
-        let settings = cut(settings, &census, &counts, scale);
-        let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level()), settings.tile).vertices;
+        let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level())).vertices;
         let outside = match shard.of {
             1 if settings.needs_plan() => ((outside + lists + RESERVE) / GRAIN).ceil() * GRAIN,
             // Where nothing is bounded, no more than is expected: the reserve is what the neediest scenes took.
@@ -244,12 +237,6 @@ impl Planner {
         Self { picture: Some(bytes as f64).filter(|&bytes| bytes <= room).unwrap_or(0.0), ..self }
     }
 
-    /// The tile of the settings, with the box that the run's rays give it.
-    #[must_use]
-    pub fn tile(&self) -> Option<Tile> {
-        self.settings.tile
-    }
-
     /// The plan for limits with at least `rays_per_vertex` rays per vertex; 0 for no limits.
     #[must_use]
     pub fn with_rays_per_vertex(&self, rays_per_vertex: f64) -> Plan {
@@ -266,7 +253,7 @@ impl Planner {
                 (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64, 0.0)
             }
             GridKind::Octree => {
-                let needs = self.census.needs(self.own_scale, &limits, self.settings.tile);
+                let needs = self.census.needs(self.own_scale, &limits);
                 let Correction { sums, vertices } = self.correction;
                 (
                     vertices * needs.vertices,
@@ -368,20 +355,12 @@ impl Planner {
     /// Makes all further plans expect as much more, or less, as was found: the sums came to `summed` after the fraction
     /// `done` of the rays of `plan`.
     pub(super) fn correct(&mut self, plan: &Plan, done: f64, summed: Summed) {
-        let needs = self.census.needs(done * self.own_scale, &plan.limits, self.settings.tile);
+        let needs = self.census.needs(done * self.own_scale, &plan.limits);
         let sums = summed.used as f64 / needs.summing(self.settings.entries(self.is_part)).max(1.0);
         // Where nobody counted, there are as many more vertices as sums.
         let counted = summed.vertices.map(|count| count as f64 / needs.vertices.max(1.0));
         self.correction = Correction { sums, vertices: counted.unwrap_or(sums) };
     }
-}
-
-/// The settings with the box of their tile, if they have one without.
-fn cut(settings: GridSettings, census: &SpeciesEstimate, counts: &PilotCounts, scale: f64) -> GridSettings {
-    let Some(tile) = settings.tile.filter(|tile| !tile.is_cut()) else { return settings };
-    let rays = settings.rays_per_vertex();
-    let limits = if rays > 0.0 { counts.limits(scale, rays) } else { MaxLevels::none(census.level()) };
-    settings.tile(Some(census.cut(scale, &limits, tile)))
 }
 
 /// Bounds on rays per vertex: below the first no region gives up anything, beyond the second every region has given up

@@ -150,7 +150,6 @@ impl RaySettings {
             source,
             cameras,
             pixel_offset,
-            reach: None,
             pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
         })
     }

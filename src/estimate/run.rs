@@ -3,9 +3,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use glam::DVec3;
-
-use super::builder::{Builder, Finish, is_own};
+use super::builder::{Builder, Finish};
 use super::checkpoint::rays_per_vertex;
 use super::draw::{Drawn, Part, draw};
 use super::estimation::{Estimation, Goal};
@@ -15,9 +13,8 @@ use super::{
     Audit, CoverageCheck, ErrorBudget, FieldBuilder, FieldSource, GridKind, GridSettings, Plan, Planner, PositionCheck,
     RayError, SURFACE_POINTS, StepCheck,
 };
-use crate::geometry::{Aabb, Lattice, kept_pixels};
-use crate::octree::Leaves;
-use crate::posterior::{DensePosterior, DiagonalSums, Entries, OctreePosterior, RayCoverage};
+use crate::geometry::{Lattice, kept_pixels};
+use crate::posterior::{DensePosterior, DiagonalSums, Entries, OctreePosterior};
 use crate::rays::{Pixels, Purpose, RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
@@ -86,7 +83,7 @@ impl<'a> Run<'a> {
         let limits = Limits::within(settings.grid.memory);
         let mut run = Self { settings, lattice, stream, limits, surface: Vec::new() };
         if run.settings.grid.needs_plan() {
-            let planner = run.pilot(&run.stream)?;
+            let planner = run.pilot()?;
             let mut plan = planner.plan()?;
             // The interrupted run's plan depends on its budget, and on what its process took beside.
             let files = run.files();
@@ -96,40 +93,9 @@ impl<'a> Run<'a> {
             {
                 plan = planner.with_rays_per_vertex(rays_per_vertex(file)?);
             }
-            run.settings.grid.tile = planner.tile();
             (run.limits.planner, run.limits.plan) = (Some(planner), Some(plan));
-        } else if run.settings.grid.tile.is_some_and(|tile| !tile.is_cut()) {
-            // Runs of different seeds are added up tile by tile, so where space is cut does not depend on the seed.
-            let pixels = run.stream.with_pixels(run.stream.pixels.kind(), 0);
-            match run.pilot(&pixels) {
-                // Of the few rays of a pilot, too many may be at fault by chance. The tiles are equal boxes then.
-                Err(Error::NonFinite { .. }) => {}
-                planner => run.settings.grid.tile = planner?.tile(),
-            }
         }
-        // The pilot and all that is measured see all of space; the rays of the run need only reach the tile.
-        // What a ray of splats adds is where their centres are, beside the ray.
-        run.stream.reach = run.reach().filter(|_| run.stream.source.marched().is_some());
         Ok(run)
-    }
-
-    /// The box that every ray crosses which adds to the sums of the tile; `None` without a tile, or where rays are
-    /// curved on the lattice.
-    fn reach(&self) -> Option<Aabb> {
-        let bounds = self.lattice.domain().bounds()?;
-        // A sample adds to the corners of its leaf, and if one of them hangs, to those of the next larger leaf.
-        let leaf = match self.limits.plan.as_ref().map(|plan| &plan.limits) {
-            Some(limits) if !limits.is_unlimited() => 1 << (limits.finest() - limits.region_level()),
-            _ => 1,
-        };
-        // One cell more than that, for what f32 positions are rounded.
-        let beyond = f64::from(2 * leaf + 1);
-        // Ray coverage is counted in coarse cells, those that begin in the tile.
-        let visited = f64::from(1_u32 << self.lattice.level().saturating_sub(RayCoverage::LEVEL));
-        let (low, high) = self.settings.grid.tile?.extent(self.lattice.level());
-        let [low, high] = [low, high].map(|corner| DVec3::from(corner.map(f64::from)));
-        let scene = |u: DVec3| bounds.min() + u * self.lattice.edge();
-        Aabb::new(scene(low - beyond), scene(high + beyond.max(visited))).ok()
     }
 
     /// Box and finest level.
@@ -158,7 +124,7 @@ impl<'a> Run<'a> {
     pub fn forecast(&self) -> Result<Plan> {
         let mut plan = match &self.limits.plan {
             Some(plan) => plan.clone(),
-            None => self.pilot(&self.stream)?.plan()?,
+            None => self.pilot()?.plan()?,
         };
         // Every group has its own sums, and finishing needs one more.
         let sums = self.settings.goal.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
@@ -166,9 +132,9 @@ impl<'a> Run<'a> {
         Ok(plan)
     }
 
-    fn pilot(&self, stream: &RayStream) -> Result<Planner> {
+    fn pilot(&self) -> Result<Planner> {
         let Estimation { rays, grid, monitor, picture, .. } = &self.settings;
-        let planner = Planner::new(*grid, rays, stream, self.settings.own_shard(), self.lattice, *monitor)?;
+        let planner = Planner::new(*grid, rays, &self.stream, self.settings.own_shard(), self.lattice, *monitor)?;
         Ok(planner.with_picture(*picture))
     }
 
@@ -240,13 +206,10 @@ impl<'a> Run<'a> {
     /// If every pixel is drawn, these are some of the same pixels. Then the rays are all that training shows, and those
     /// points are a fair sample of it.
     fn surface_points(&self) -> Result<Vec<[f32; 3]>> {
-        let Estimation { grid, rays, monitor, .. } = &self.settings;
+        let Estimation { rays, monitor, .. } = &self.settings;
         let (stream, lattice) = (self.stream.for_purpose(Purpose::Surface), &self.lattice);
-        let is_inside = |x| is_own(lattice, None, x);
-        let rays = rays.rays.min(MOST_SURFACE_RAYS);
-        let mut points = stream.surface_points_where(&is_inside, SURFACE_POINTS, rays, *monitor)?;
-        points.retain(|&x| is_own(lattice, grid.tile, x.into()));
-        Ok(points)
+        let is_inside = |x| lattice.coordinates(x).is_some();
+        stream.surface_points_where(&is_inside, SURFACE_POINTS, rays.rays.min(MOST_SURFACE_RAYS), *monitor)
     }
 
     fn finish_with<P: Finish>(self) -> Result<Outcome> {

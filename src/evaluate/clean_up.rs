@@ -14,7 +14,7 @@ use crate::metrics::{psnr, ssim};
 use crate::monitor::{Monitor, check};
 use crate::posterior::Scale;
 use crate::render::{Pixel, RenderedView, Renderer};
-use crate::uncertainty::Answers;
+use crate::uncertainty::{BakedField, UncertaintyField};
 
 /// log10 U at a share of 1, with U in longest edges of the domain.
 pub const SCALE: f64 = 6.0;
@@ -80,7 +80,7 @@ impl CleanUp {
 /// log10 U at a share of 0: that of the domain's longest edge, on the paper's scale.
 ///
 /// On the scale of the training pixels, the prior lies as many decades above it as on the paper's with the default λ.
-fn thresholds_start_at(uncertainty: &dyn Answers) -> f64 {
+fn thresholds_start_at(uncertainty: &UncertaintyField) -> f64 {
     let lattice = uncertainty.lattice();
     let edge = lattice.domain().size().max_element().log10();
     match uncertainty.record().scale {
@@ -103,18 +103,18 @@ fn empty_view(truth: &TrueView, renderer: &dyn Renderer) -> RenderedView {
 /// The first entry is the model as it is. A stage of its own for the monitor.
 ///
 /// # Errors
-/// [`crate::Error::Interrupted`], and if the uncertainty cannot be read.
+/// [`crate::Error::Interrupted`], or if a part of the model cannot be made.
 pub fn clean_up(
     model: &dyn Model,
     whole: &dyn Renderer,
-    uncertainty: &dyn Answers,
+    uncertainty: &BakedField,
     truths: &[TrueView],
     thresholds: &[f64],
     monitor: &dyn Monitor,
 ) -> Result<Vec<(CleanUp, Vec<RenderedView>)>> {
-    let unit = thresholds_start_at(uncertainty);
-    let surface: Vec<Vec3> = uncertainty.surface()?.iter().copied().map(Vec3::from_array).collect();
-    let surface: Vec<f64> = uncertainty.estimates(&surface)?.iter().map(|found| found.uncertainty.log10()).collect();
+    let unit = thresholds_start_at(uncertainty.field());
+    let surface: Vec<Vec3> = uncertainty.field().surface().iter().copied().map(Vec3::from_array).collect();
+    let surface: Vec<f64> = uncertainty.query_all(&surface).iter().map(|found| found.uncertainty.log10()).collect();
     let kept = |threshold: f64| {
         let kept = surface.iter().filter(|log10| **log10 <= threshold).count();
         (!surface.is_empty()).then(|| kept as f64 / surface.len() as f64)
@@ -137,7 +137,6 @@ pub fn clean_up(
         let threshold = share * SCALE + unit;
         let left = model.certain_part(uncertainty, threshold)?;
         let after = render(left.as_ref().map(|left| left.like(whole)).as_deref())?;
-        left.map_or(Ok(()), |left| left.check())?;
         let cleaned = CleanUp::new(Some(share), Some(threshold), truths, &after);
         out.push((CleanUp { surfaces: kept(threshold), ..cleaned }, after));
     }

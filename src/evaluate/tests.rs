@@ -13,7 +13,7 @@ use crate::metrics::{Calibration, ErrorKind, ensemble_variance};
 use crate::monitor::Silent;
 use crate::posterior::{Covariance, DataScale, Scale};
 use crate::render::{RayAverage, Renderer, VolumeRenderer};
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::{BakedField, UncertaintyField};
 
 /// An empty field in the ball's box.
 struct Nothing(Aabb);
@@ -318,7 +318,9 @@ fn clean_up_removes_nothing_above_the_prior_and_everything_below_the_least() {
     let lowest = field.deviations().iter().fold(f64::INFINITY, f64::min);
     let [all, none] = [share(field.prior()) + 1e-9, share(lowest) - 1e-9];
     let middle = 0.5 * (all + none);
-    let cleaned = clean_up(&ball, &renderer(&ball), &field, &truths, &[none, middle, all], &Silent).unwrap();
+    let cleaned =
+        clean_up(&ball, &renderer(&ball), &BakedField::unbaked(&field), &truths, &[none, middle, all], &Silent)
+            .unwrap();
     let [before, gone, some, kept] = [0, 1, 2, 3].map(|k| &cleaned[k]);
     assert!(before.0.psnr == f64::INFINITY && before.0.ssim > 1.0 - 1e-9 && before.0.coverage == 1.0);
     for (a, b) in before.1.iter().zip(&kept.1) {

@@ -2,10 +2,9 @@
 
 use glam::{DVec3, Vec3};
 
-use crate::Result;
 use crate::geometry::Lattice;
 use crate::octree::{Cell, CellTree, morton};
-use crate::uncertainty::{Answer, Answers};
+use crate::uncertainty::{Answer, Support, UncertaintyField};
 
 /// Cells per query: enough to keep all threads busy, a few megabytes.
 const CHUNK: usize = 1 << 16;
@@ -27,12 +26,12 @@ pub fn leaves<'a>(lattice: &Lattice, cells: Option<&'a CellTree>) -> impl Iterat
 }
 
 /// Whether a field stores ray counts, and whether it stores ray coverage.
-pub fn knows(field: &dyn Answers) -> Result<[bool; 2]> {
+pub fn knows(field: &UncertaintyField) -> [bool; 2] {
     let lattice = field.lattice();
     let middle = lattice.position(DVec3::splat(0.5 * f64::from(lattice.cells_per_axis()))).as_vec3();
-    let answers = field.answers(&[middle])?;
+    let answers = field.answers(&[middle]);
     let any = |has: fn(&Answer) -> bool| answers.iter().any(has);
-    Ok([any(|answer| answer.estimate.rays.is_some()), any(|answer| answer.ray_coverage.is_some())])
+    [any(|answer| answer.estimate.rays.is_some()), any(|answer| answer.ray_coverage.is_some())]
 }
 
 /// The split cells of every level above the finest, as Morton codes in order.
@@ -48,9 +47,11 @@ pub enum Splits {
 
 impl Splits {
     /// Of a field.
-    pub fn of(field: &dyn Answers) -> Result<Self> {
-        let finest = field.lattice().level();
-        Ok(field.cells()?.map_or(Self::Dense { finest }, |cells| Self::Octree(cells.split())))
+    pub fn of(field: &UncertaintyField) -> Self {
+        match field.support() {
+            Support::Dense => Self::Dense { finest: field.lattice().level() },
+            Support::Octree(octree) => Self::Octree(octree.cells().split()),
+        }
     }
 
     /// The split cells of a level.
@@ -117,15 +118,12 @@ fn middle(lattice: &Lattice, cell: Cell) -> DVec3 {
 
 /// The field's values at the centres of `cells`, queried chunk by chunk.
 pub fn at_centers<'a>(
-    field: &'a dyn Answers,
+    field: &'a UncertaintyField,
     cells: impl Iterator<Item = Cell> + 'a,
-) -> impl Iterator<Item = Result<Answer>> + 'a {
+) -> impl Iterator<Item = Answer> + 'a {
     in_chunks(cells, |cells| {
         let centers: Vec<Vec3> = cells.iter().map(|&cell| center(field.lattice(), cell).as_vec3()).collect();
-        match field.answers(&centers) {
-            Ok(answers) => answers.into_iter().map(Ok).collect(),
-            Err(error) => vec![Err(error)],
-        }
+        field.answers(&centers)
     })
 }
 

@@ -12,7 +12,7 @@ use super::leaves::code;
 use crate::geometry::{Domain, Lattice};
 use crate::io::AtomicFile;
 use crate::octree::Cell;
-use crate::uncertainty::Answers;
+use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// An array behind the XML.
@@ -35,9 +35,9 @@ struct Array {
 /// it.
 ///
 /// # Errors
-/// If the file cannot be written, or the field cannot be read.
-pub fn write_hyper_tree(path: &Path, field: &dyn Answers) -> Result<()> {
-    let splits = Splits::of(field)?;
+/// If the file cannot be written.
+pub fn write_hyper_tree(path: &Path, field: &UncertaintyField) -> Result<()> {
+    let splits = Splits::of(field);
     let per_level = splits.cells_per_level();
     let levels = per_level.len() as u64;
     let cells: u64 = per_level.iter().sum();
@@ -61,7 +61,7 @@ pub fn write_hyper_tree(path: &Path, field: &dyn Answers) -> Result<()> {
     array("UInt32", "DepthPerTree", 1, 32);
     array("Float32", "log10_uncertainty", cells, 32);
     array("UInt8", "level", cells, 8);
-    let [knows_rays, knows_coverage] = knows(field)?;
+    let [knows_rays, knows_coverage] = knows(field);
     if knows_rays {
         array("Float32", "rays", cells, 32);
     }
@@ -85,13 +85,13 @@ pub fn write_hyper_tree(path: &Path, field: &dyn Answers) -> Result<()> {
             "TreeIds" => put(&0_u64.to_le_bytes())?,
             "DepthPerTree" => put(&(levels as u32).to_le_bytes())?,
             "log10_uncertainty" => {
-                answers.try_for_each(|found| put(&(found?.estimate.uncertainty.log10() as f32).to_le_bytes()))?;
+                answers.try_for_each(|found| put(&(found.estimate.uncertainty.log10() as f32).to_le_bytes()))?;
             }
             "level" => all().try_for_each(|(Cell { level, .. }, _)| put(&[level]))?,
             "rays" => {
-                answers.try_for_each(|found| put(&(found?.estimate.rays.unwrap_or(0.0) as f32).to_le_bytes()))?;
+                answers.try_for_each(|found| put(&(found.estimate.rays.unwrap_or(0.0) as f32).to_le_bytes()))?;
             }
-            "seen" => answers.try_for_each(|found| put(&[code(found?.observability)]))?,
+            "seen" => answers.try_for_each(|found| put(&[code(found.observability)]))?,
             side => {
                 let axis = ["XCoordinates", "YCoordinates", "ZCoordinates"].iter().position(|name| *name == side);
                 sides[axis.expect("one of the arrays above")].iter().try_for_each(|v| put(&v.to_le_bytes()))?;

@@ -6,34 +6,36 @@ use glam::Vec3;
 
 use super::cells::{at_centers, center, edges, in_chunks, knows, leaves};
 use crate::Result;
-use crate::io::Stored;
 use crate::io::npz::NpzWriter;
-use crate::uncertainty::{Answer, Answers, Matrices, Observability};
+use crate::uncertainty::{Answer, Matrices, Observability, Support, UncertaintyField};
 
 /// Writes one row per leaf, in Morton order. The arrays are those of the book's chapter on `export`; `rays` and `seen`
 /// are there if the field stores them, `covariance` if its matrices are given.
 ///
 /// # Errors
-/// If the file cannot be written, or the field cannot be read.
-pub fn write_leaves(path: &Path, field: &dyn Answers, matrices: Option<&Matrices>) -> Result<()> {
+/// If the file cannot be written.
+pub fn write_leaves(path: &Path, field: &UncertaintyField, matrices: Option<&Matrices>) -> Result<()> {
     let lattice = field.lattice();
-    let cells = field.cells()?;
-    let leaves = || leaves(lattice, cells.as_deref());
+    let cells = match field.support() {
+        Support::Dense => None,
+        Support::Octree(octree) => Some(octree.cells()),
+    };
+    let leaves = || leaves(lattice, cells);
     let count = leaves().count() as u64;
     let mut npz = NpzWriter::create(path)?;
     npz.array("center", &[count, 3], leaves().flat_map(|cell| center(lattice, cell).to_array()))?;
     npz.array("edge", &[count, 3], leaves().flat_map(|cell| edges(lattice, cell).to_array()))?;
     npz.array("level", &[count], leaves().map(|cell| cell.level))?;
     npz.array("index", &[count, 3], leaves().flat_map(|cell| cell.index))?;
-    let [knows_rays, knows_coverage] = knows(field)?;
+    let [knows_rays, knows_coverage] = knows(field);
     let answers = || at_centers(field, leaves());
     let log10 = |found: Answer| found.estimate.uncertainty.log10() as f32;
-    put(&mut npz, "log10_uncertainty", count, answers(), log10)?;
+    npz.array("log10_uncertainty", &[count], answers().map(log10))?;
     if knows_rays {
-        put(&mut npz, "rays", count, answers(), |found| found.estimate.rays.unwrap_or(0.0) as f32)?;
+        npz.array("rays", &[count], answers().map(|found| found.estimate.rays.unwrap_or(0.0) as f32))?;
     }
     if knows_coverage {
-        put(&mut npz, "seen", count, answers(), |found| code(found.observability))?;
+        npz.array("seen", &[count], answers().map(|found| code(found.observability)))?;
     }
     if let Some(matrices) = matrices {
         let covariances = in_chunks(leaves(), |cells| {
@@ -45,21 +47,6 @@ pub fn write_leaves(path: &Path, field: &dyn Answers, matrices: Option<&Matrices
     }
     npz.array("prior_log10_uncertainty", &[], [field.record().reading().prior().log10()])?;
     npz.finish()
-}
-
-/// Writes one number of each answer.
-fn put<T: Stored>(
-    npz: &mut NpzWriter,
-    name: &str,
-    count: u64,
-    answers: impl Iterator<Item = Result<Answer>>,
-    value: impl Fn(Answer) -> T,
-) -> Result<()> {
-    let mut failed = None;
-    let answers = answers.map_while(|answer| answer.map_err(|error| failed = Some(error)).ok());
-    let written = npz.array(name, &[count], answers.map(value));
-    // An array that ends too early is only what an error led to.
-    failed.map_or(written, Err)
 }
 
 /// What is known of a place, as a number: 0 never seen, 1 free, 2 constrained.

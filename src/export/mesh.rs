@@ -10,7 +10,7 @@ use super::surface_net::SurfaceNet;
 use crate::field::{Radiance, RadianceField};
 use crate::geometry::Aabb;
 use crate::monitor::{Monitor, check};
-use crate::uncertainty::Answers;
+use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// How a surface is found.
@@ -85,11 +85,11 @@ impl Cubes {
 /// seen from outside, normals, and U of `field`. Returns the number of vertices and triangles.
 ///
 /// # Errors
-/// If the file cannot be written, the field cannot be read, if nothing is as dense, or [`Error::Interrupted`].
+/// If the file cannot be written, if nothing is as dense, or [`Error::Interrupted`].
 pub fn write_mesh(
     path: &Path,
     model: &dyn RadianceField,
-    field: &dyn Answers,
+    field: &UncertaintyField,
     settings: MeshSettings,
     monitor: &dyn Monitor,
 ) -> Result<[usize; 2]> {
@@ -112,7 +112,7 @@ pub fn write_mesh(
         let directions: Vec<Vec3> = normals.iter().map(|n| -*n).collect();
         model.evaluate(positions, &directions, out);
     });
-    let found = field.estimates(&positions)?;
+    let found = field.query_all(&positions);
 
     let counts = [positions.len(), net.triangles.len()];
     let elements = [("vertex", counts[0], &SURFACE[..]), ("face", counts[1], &[("list uchar int", "vertex_indices")])];

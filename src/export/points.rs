@@ -12,7 +12,7 @@ use crate::Result;
 use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
 use crate::render::{Renderer, Tracer, VolumeRenderer};
-use crate::uncertainty::{Answers, Matrices};
+use crate::uncertainty::{Matrices, UncertaintyField};
 
 /// Points per query.
 const CHUNK: usize = 1 << 16;
@@ -116,15 +116,20 @@ const AXES: [(&str, &str); 9] = [
 /// Writes the points with their U, and the axes of the covariance there if its matrices are given.
 ///
 /// # Errors
-/// If the file cannot be written, or the field cannot be read.
-pub fn write_points(path: &Path, surfaces: &Surfaces, field: &dyn Answers, matrices: Option<&Matrices>) -> Result<()> {
+/// If the file cannot be written.
+pub fn write_points(
+    path: &Path,
+    surfaces: &Surfaces,
+    field: &UncertaintyField,
+    matrices: Option<&Matrices>,
+) -> Result<()> {
     let axes = if matrices.is_some() { &AXES[..] } else { &[] };
     let properties = [&SURFACE[..], &POINT, axes].concat();
     let comments = [format!("surfaces of training views; {}", field.record().scale.quantity())];
     let mut ply = PlyWriter::create(path, &comments, &[("vertex", surfaces.positions.len(), &properties)])?;
     for first in (0..surfaces.positions.len()).step_by(CHUNK) {
         let chunk = first..(first + CHUNK).min(surfaces.positions.len());
-        let answers = field.answers(&surfaces.positions[chunk.clone()])?;
+        let answers = field.answers(&surfaces.positions[chunk.clone()]);
         let matrices = matrices.map(|matrices| matrices.at(&surfaces.positions[chunk.clone()]));
         for (i, found) in chunk.zip(&answers) {
             ply.surface(surfaces.positions[i], surfaces.normals[i], surfaces.colors[i], &found.estimate)?;

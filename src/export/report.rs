@@ -6,7 +6,7 @@ use std::path::Path;
 use super::points::Surfaces;
 use crate::io::{AtomicFile, cell};
 use crate::metrics::quantile;
-use crate::uncertainty::{Answers, Observability};
+use crate::uncertainty::{Observability, UncertaintyField};
 use crate::{Error, Result};
 
 /// Shares whose quantiles are reported.
@@ -25,12 +25,12 @@ struct Group {
 /// Writes one row for each camera, one for each region of the domain that has surfaces, and one for all.
 ///
 /// # Errors
-/// If the file cannot be written, or the field cannot be read.
-pub fn write_report(path: &Path, surfaces: &Surfaces, names: &[String], field: &dyn Answers) -> Result<()> {
+/// If the file cannot be written.
+pub fn write_report(path: &Path, surfaces: &Surfaces, names: &[String], field: &UncertaintyField) -> Result<()> {
     let mut cameras: Vec<Group> = names.iter().map(|_| Group::default()).collect();
     let mut regions: BTreeMap<[u8; 3], Group> = BTreeMap::new();
     let mut all = Group::default();
-    let answers = field.answers(&surfaces.positions)?;
+    let answers = field.answers(&surfaces.positions);
     // Without ray coverage it is unknown what was seen.
     let knows_coverage = answers.iter().any(|found| found.ray_coverage.is_some());
     for (i, found) in answers.iter().enumerate() {

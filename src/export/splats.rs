@@ -12,7 +12,7 @@ use crate::monitor::{Monitor, check};
 use crate::posterior::Scale;
 use crate::render::Outputs;
 use crate::splats::{Hits, SplatRenderer, Splats};
-use crate::uncertainty::{Answers, is_certain};
+use crate::uncertainty::{BakedField, UncertaintyField, is_certain};
 
 /// A view counts if a splat's share of one of its pixels exceeds this.
 const SEEN: f64 = 0.05;
@@ -88,22 +88,22 @@ impl SeenSplats {
 /// are left out. Returns the number of splats in the file.
 ///
 /// # Errors
-/// If the field cannot be read, no splat is left, or the file cannot be written.
+/// If no splat is left, or the file cannot be written.
 pub fn write_splats(
     path: &Path,
     splats: &Splats,
-    field: &dyn Answers,
+    field: &UncertaintyField,
     seen: Option<&SeenSplats>,
     threshold: Option<f64>,
 ) -> Result<usize> {
     let kept = match threshold {
-        Some(threshold) => is_certain(splats, field, threshold)?,
+        Some(threshold) => is_certain(splats, &BakedField::unbaked(field), threshold),
         None => vec![true; splats.len()],
     };
     let left = threshold.map(|_| splats.clone().keep(&kept)).transpose()?;
     let left = left.as_ref().unwrap_or(splats);
     let means: &[Vec3] = left.means();
-    let answers = field.answers(means)?;
+    let answers = field.answers(means);
     let uncertainty: Vec<f64> = answers.iter().map(|at| at.estimate.uncertainty).collect();
     let of_kept =
         |values: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..splats.len()).filter(|&i| kept[i]).map(values).collect() };

@@ -211,14 +211,6 @@ pub trait TrainedField: RadianceField {
         0.5
     }
 
-    /// Whether all that was returned since the last call is true: a field may read files meanwhile.
-    ///
-    /// # Errors
-    /// If that failed.
-    fn check(&self) -> Result<()> {
-        Ok(())
-    }
-
     /// One human-readable line: architecture and size.
     fn describe(&self) -> String {
         "a field of another program".into()
@@ -270,9 +262,6 @@ macro_rules! forward {
             }
             fn pixel_offset(&self) -> f64 {
                 (**self).pixel_offset()
-            }
-            fn check(&self) -> Result<()> {
-                (**self).check()
             }
             fn describe(&self) -> String {
                 (**self).describe()

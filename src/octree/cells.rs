@@ -182,39 +182,23 @@ impl CellTree {
     }
 
     /// Calls `visit` for every leaf in Morton order.
-    pub fn for_each_leaf(&self, visit: impl FnMut(Cell)) {
-        self.for_each_leaf_where(|_| true, visit);
+    pub fn for_each_leaf(&self, mut visit: impl FnMut(Cell)) {
+        self.descend(Cell { level: 0, index: [0; 3] }, (0, self.root_split), &mut visit);
     }
 
-    /// Calls `visit` for every leaf that fulfils `condition`, in Morton order. A cell that does not fulfil it has no
-    /// such leaf.
-    pub fn for_each_leaf_where(&self, condition: impl Fn(Cell) -> bool, mut visit: impl FnMut(Cell)) {
-        let root = Cell { level: 0, index: [0; 3] };
-        self.descend(root, (0, self.root_split), &condition, &mut visit);
-    }
-
-    fn descend(
-        &self,
-        cell: Cell,
-        (node, split): (usize, bool),
-        condition: &impl Fn(Cell) -> bool,
-        visit: &mut impl FnMut(Cell),
-    ) {
-        if !condition(cell) {
-            return;
-        }
+    fn descend(&self, cell: Cell, (node, split): (usize, bool), visit: &mut impl FnMut(Cell)) {
         if !split {
             return visit(cell);
         }
         if cell.level + 1 == self.finest {
-            return (0..8).map(|c| cell.child(c)).filter(|leaf| condition(*leaf)).for_each(visit);
+            return (0..8).map(|c| cell.child(c)).for_each(visit);
         }
         let mask = self.mask(node);
         let deeper = cell.level + 2 < self.finest;
         let mut next = if deeper { 1 + self.rank(node) } else { 0 };
         for c in 0..8 {
             let child_split = mask >> c & 1 == 1;
-            self.descend(cell.child(c), (next, child_split), condition, visit);
+            self.descend(cell.child(c), (next, child_split), visit);
             next += usize::from(child_split);
         }
     }

@@ -21,7 +21,6 @@ mod max_levels;
 pub(crate) mod morton;
 mod nearby;
 mod set;
-mod tile;
 mod validate;
 mod vertices;
 
@@ -38,8 +37,6 @@ pub(crate) use max_levels::DEPTH;
 pub use max_levels::MaxLevels;
 pub(crate) use nearby::Nearby;
 pub(crate) use set::MortonSet;
-pub use tile::Tile;
-pub(crate) use tile::Tiling;
 
 // What only the program, Python and the experiments name.
 #[doc(hidden)]

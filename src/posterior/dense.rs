@@ -5,7 +5,7 @@ use std::ops::AddAssign;
 
 use super::{Posterior, Refinement, Sums, VertexSums};
 use crate::geometry::Lattice;
-use crate::octree::{MaxLevels, Tile, trilinear};
+use crate::octree::{MaxLevels, trilinear};
 use crate::render::RaySamples;
 
 /// The sums at all (M + 1)³ lattice points, added in f64 in ray order.
@@ -72,7 +72,7 @@ impl Posterior for DensePosterior {
     /// All lattice points.
     type Vertices = ();
 
-    fn empty(lattice: Lattice, _limits: &MaxLevels, _tile: Option<Tile>) -> Self {
+    fn empty(lattice: Lattice, _limits: &MaxLevels) -> Self {
         Self::new(lattice)
     }
 
@@ -128,13 +128,7 @@ impl Posterior for DensePosterior {
         std::iter::once(&self.sums[..])
     }
 
-    fn restore(
-        lattice: Lattice,
-        _limits: &MaxLevels,
-        _tile: Option<Tile>,
-        _keys: &[u64],
-        sums: Vec<VertexSums>,
-    ) -> Option<Self> {
+    fn restore(lattice: Lattice, _limits: &MaxLevels, _keys: &[u64], sums: Vec<VertexSums>) -> Option<Self> {
         (sums.len() as u64 == lattice.dense_vertices()).then_some(Self { lattice, sums })
     }
 }

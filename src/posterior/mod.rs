@@ -42,7 +42,7 @@ pub use self::{factor::FactoredSums, ray_coverage::RayCoverage};
 use std::ops::AddAssign;
 
 use crate::geometry::Lattice;
-use crate::octree::{MaxLevels, Tile};
+use crate::octree::MaxLevels;
 use crate::render::RaySamples;
 
 /// Sums of information over a stream of ray samples, on one kind of grid.
@@ -54,8 +54,8 @@ pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
     /// Where the vertices of a field of these sums are.
     type Vertices;
 
-    /// No information yet. An octree is summed on the leaves of `limits` and in `tile` alone; a dense grid has neither.
-    fn empty(lattice: Lattice, limits: &MaxLevels, tile: Option<Tile>) -> Self;
+    /// No information yet. An octree is summed on the leaves of `limits`; a dense grid has none.
+    fn empty(lattice: Lattice, limits: &MaxLevels) -> Self;
 
     /// Adds the rays of `batches`, in order. Samples outside the lattice's box are skipped.
     ///
@@ -89,11 +89,5 @@ pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
 
     /// Restores what [`Posterior::keys`] and [`Posterior::slices`] returned, in the same order; `None` if they are not
     /// those of such a grid.
-    fn restore(
-        lattice: Lattice,
-        limits: &MaxLevels,
-        tile: Option<Tile>,
-        keys: &[u64],
-        sums: Vec<Self::Sums>,
-    ) -> Option<Self>;
+    fn restore(lattice: Lattice, limits: &MaxLevels, keys: &[u64], sums: Vec<Self::Sums>) -> Option<Self>;
 }

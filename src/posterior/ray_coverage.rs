@@ -12,7 +12,6 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::geometry::{Domain, Lattice};
-use crate::octree::Tile;
 use crate::render::{RaySamples, VisibleSegment};
 
 /// Most counters at once. One thread adds them up, a megabyte each, and takes longer with each of them.
@@ -69,20 +68,6 @@ impl RayCoverage {
             *most = count.max(*most);
         }
         Self { lattice, counts }
-    }
-
-    /// The ray coverage of the cells whose lowest corner is a tile's, on a lattice of 2^`finest` cells per axis; none
-    /// elsewhere.
-    #[must_use]
-    pub fn within(mut self, tile: Option<Tile>, finest: u8) -> Self {
-        let Some(tile) = tile else { return self };
-        let level = self.lattice.level();
-        for (i, count) in self.counts.iter_mut().enumerate() {
-            if !tile.owns(finest, cell_at(level, i).map(|i| i << (finest - level))) {
-                *count = 0;
-            }
-        }
-        self
     }
 
     /// `[cells]`, x slowest, z fastest.

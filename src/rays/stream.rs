@@ -12,7 +12,7 @@ use super::pixels::{PixelSample, PixelSequence, Pixels};
 use super::portions::{GROUP, Portions};
 use super::seeds::Purpose;
 use super::shard::{BATCH, RaySet, RunProgress, Shard};
-use crate::geometry::{Aabb, Camera, Mask, Ray};
+use crate::geometry::{Camera, Mask, Ray};
 use crate::monitor::{Monitor, check};
 use crate::render::{RayBatch, RaySamples, Renderer, WeightedSamples};
 use crate::{Error, Result};
@@ -64,8 +64,6 @@ pub struct RayStream<'a> {
     /// The pixels in their order.
     #[doc(hidden)]
     pub pixels: PixelSequence,
-    /// Rays that miss this box are drawn and counted, but neither traced nor passed on.
-    pub reach: Option<Aabb>,
 }
 
 impl<'a> RayStream<'a> {
@@ -73,7 +71,7 @@ impl<'a> RayStream<'a> {
     #[must_use]
     pub fn with_pixels(&self, kind: Pixels, seed: u64) -> RayStream<'a> {
         let pixels = self.pixels.reordered(kind, seed);
-        RayStream { source: Arc::clone(&self.source), pixels, reach: None, ..*self }
+        RayStream { source: Arc::clone(&self.source), pixels, ..*self }
     }
 
     /// The same stream over the pixels that masks keep, one or none for each camera.
@@ -156,17 +154,11 @@ impl<'a> RayStream<'a> {
         };
         let drawn: Vec<RayBatch> = batches.clone().into_par_iter().map(|n| self.batch(shard, n)).collect();
         let advance = |rays| monitor.advance(rays);
-        let samples = if volume.batch() > 0 {
-            grouped(volume.samples(&drawn, monitor, advance)?)
-        } else {
-            let portions: Vec<RayBatch> =
-                drawn.iter().flat_map(|batch| batch.portions(rays_together as usize)).collect();
-            vec![(batches.end - batches.start, volume.samples(&portions, monitor, advance)?)]
-        };
-        // Rays that reach nothing are not traced.
-        let traced: usize = drawn.iter().map(|batch| batch.rays.len()).sum();
-        monitor.advance(batches.clone().map(rays).sum::<u64>() - traced as u64);
-        Ok(samples)
+        if volume.batch() > 0 {
+            return Ok(grouped(volume.samples(&drawn, monitor, advance)?));
+        }
+        let portions: Vec<RayBatch> = drawn.iter().flat_map(|batch| batch.portions(rays_together as usize)).collect();
+        Ok(vec![(batches.end - batches.start, volume.samples(&portions, monitor, advance)?)])
     }
 
     /// Rays of one batch, each with its jitter.
@@ -179,12 +171,10 @@ impl<'a> RayStream<'a> {
         picks.iter().map(ray).collect()
     }
 
-    /// Batch `n` of a shard, without the rays that reach nothing.
+    /// Batch `n` of a shard.
     fn batch(&self, shard: &Shard, n: u64) -> RayBatch {
         let batch = shard.batch(n);
-        let picked = self.picked(batch, shard.rays_of(batch)).into_iter();
-        let picked = picked.filter(|(ray, _)| self.reach.is_none_or(|reach| reach.clip(ray).is_some()));
-        let (rays, jitter) = picked.unzip();
+        let (rays, jitter) = self.picked(batch, shard.rays_of(batch)).into_iter().unzip();
         RayBatch { rays, jitter, first: batch * BATCH }
     }
 

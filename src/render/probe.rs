@@ -4,7 +4,6 @@ use glam::Vec3;
 
 use super::RayAverage;
 use super::ray_average::Asked;
-use crate::Result;
 
 /// Number of rays assumed where no ray supports U: less than one, but not zero, so that the score is finite.
 pub const MIN_SUPPORTING_RAYS: f64 = 0.5;
@@ -20,16 +19,8 @@ pub struct Probed {
 
 /// A scalar function of space; usually log10 U at a scene point.
 pub trait ProbedField: Sync {
-    /// Approximate number of points per efficient query; 0 if that does not matter.
-    fn batch(&self) -> usize {
-        0
-    }
-
     /// The scalar at points.
-    ///
-    /// # Errors
-    /// If it has to be read first, and cannot be.
-    fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>>;
+    fn at(&self, points: &[Vec3]) -> Vec<Probed>;
 }
 
 /// A scalar function of space, averaged along rays beside the colour.
@@ -42,14 +33,14 @@ pub struct Probe<'a> {
 }
 
 /// `[ray averages of the probe][rays]`. The probe's field is queried for all rays at once.
-pub fn averages(rays: &[WeightedRay], probe: &Probe) -> Result<Vec<Vec<f64>>> {
+pub fn averages(rays: &[WeightedRay], probe: &Probe) -> Vec<Vec<f64>> {
     let needs = |asked| probe.averages.iter().any(|average| average.asks() == asked);
     let at_samples = match needs(Asked::Samples) {
-        true => probe.field.at(&rays.iter().flat_map(WeightedRay::hit).map(|(_, x)| x).collect::<Vec<Vec3>>())?,
+        true => probe.field.at(&rays.iter().flat_map(WeightedRay::hit).map(|(_, x)| x).collect::<Vec<Vec3>>()),
         false => Vec::new(),
     };
     let at_expected = match needs(Asked::Expected) {
-        true => probe.field.at(&rays.iter().map(|ray| ray.at_expected).collect::<Vec<Vec3>>())?,
+        true => probe.field.at(&rays.iter().map(|ray| ray.at_expected).collect::<Vec<Vec3>>()),
         false => Vec::new(),
     };
     let mut out = vec![Vec::with_capacity(rays.len()); probe.averages.len()];
@@ -61,7 +52,7 @@ pub fn averages(rays: &[WeightedRay], probe: &Probe) -> Result<Vec<Vec<f64>>> {
             out.push(ray.average(average, of_ray, at_expected.get(r).copied().unwrap_or(UNASKED)));
         }
     }
-    Ok(out)
+    out
 }
 
 /// Of a point that no ray average needs.
@@ -141,9 +132,9 @@ mod tests {
     struct Counting(std::sync::Mutex<Vec<usize>>);
 
     impl ProbedField for Counting {
-        fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
+        fn at(&self, points: &[Vec3]) -> Vec<Probed> {
             self.0.lock().unwrap().push(points.len());
-            Ok(points.iter().map(|x| Probed { value: f64::from(x.x), rays: 1.0 }).collect())
+            points.iter().map(|x| Probed { value: f64::from(x.x), rays: 1.0 }).collect()
         }
     }
 
@@ -160,14 +151,14 @@ mod tests {
         let rays = [ray(0..2, 7.0), ray(2..2, 0.0), ray(2..4, 8.0), ray(4..5, 0.0)];
         let field = Counting::default();
         let kinds = [RayAverage::WeightedMean, RayAverage::USpread];
-        let found = averages(&rays, &Probe { field: &field, averages: &kinds }).unwrap();
+        let found = averages(&rays, &Probe { field: &field, averages: &kinds });
         let known = |values: &[f64]| [values[0], values[2]];
         assert_eq!(found.iter().map(|values| known(values)).collect::<Vec<_>>(), [[1.0, 3.75], [7.0, 8.0]]);
         assert!(found.iter().all(|values| values[1].is_nan() && values[3].is_nan()), "{found:?}");
         assert_eq!(*field.0.lock().unwrap(), [3, 4]);
         // Several averages may use the expected depth, which is queried once.
         let kinds = [RayAverage::USpread, RayAverage::USpreadPerRootRay];
-        let found = averages(&rays, &Probe { field: &field, averages: &kinds }).unwrap();
+        let found = averages(&rays, &Probe { field: &field, averages: &kinds });
         let known: Vec<_> = found.iter().map(|values| known(values)).collect();
         assert_eq!(known, [[7.0, 8.0]; 2]);
         assert_eq!(field.0.lock().unwrap()[2..], [4]);

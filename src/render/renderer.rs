@@ -153,7 +153,7 @@ pub trait Renderer: Send + Sync {
     /// Advances the monitor by one per row. The caller begins and ends the stage.
     ///
     /// # Errors
-    /// [`crate::Error::Interrupted`], those of the probes, or if the model cannot render this camera.
+    /// [`crate::Error::Interrupted`], or if the model cannot render this camera.
     fn image(
         &self,
         camera: &Camera,
@@ -262,5 +262,5 @@ fn composited<R: Renderer + ?Sized>(
         posterior_variance: Vec::new(),
         dropped: samples.is_dropped.iter().filter(|dropped| **dropped).count() as u64,
     };
-    weighted.view(probes, &[])
+    Ok(weighted.view(probes, &[]))
 }

@@ -63,7 +63,7 @@ fn channels(probes: &[Probe]) -> usize {
 /// Advances the monitor by one per row. The caller begins and ends the stage.
 ///
 /// # Errors
-/// [`crate::Error::Interrupted`], and those of the probes.
+/// [`crate::Error::Interrupted`], or if the image is too large.
 pub fn render_view(
     tracer: &Tracer,
     camera: &Camera,
@@ -77,7 +77,7 @@ pub fn render_view(
 /// Same as [`render_view`], with the variance of every pixel's expected depth.
 ///
 /// # Errors
-/// [`crate::Error::Interrupted`], and those of the probes.
+/// [`crate::Error::Interrupted`], or if the image is too large.
 pub fn render_view_with_depth(
     tracer: &Tracer,
     camera: &Camera,
@@ -110,8 +110,7 @@ fn render(
     check_size(camera)?;
     let [width, height] = camera.resolution;
     // A field that wants many points at once gets several rows: a ray asks about a few points at a time.
-    let batch = probes.iter().map(|probe| probe.field.batch()).fold(tracer.field.batch(), usize::max);
-    let together = batch.div_ceil(POINTS_PER_RAY * width.max(1) as usize).max(1);
+    let together = tracer.field.batch().div_ceil(POINTS_PER_RAY * width.max(1) as usize).max(1);
     let rows: Vec<u32> = (0..height).collect();
     let rows: Vec<RenderedView> = rows
         .par_chunks(together)
@@ -119,7 +118,7 @@ fn render(
             check(monitor)?;
             let ray = |row: u32, x: u32| camera.ray(f64::from(x) + pixel_offset, f64::from(row) + pixel_offset);
             let rays: Vec<Ray> = rows.iter().flat_map(|&row| (0..width).map(move |x| ray(row, x))).collect();
-            let rendered = render_rays(tracer, &rays, probes, depth)?;
+            let rendered = render_rays(tracer, &rays, probes, depth);
             monitor.advance(rows.len() as u64);
             Ok(rendered)
         })
@@ -156,15 +155,8 @@ impl RenderedView {
 }
 
 /// Renders single rays, as an image of one row.
-///
-/// # Errors
-/// Those of the probes.
-pub fn render_rays(
-    tracer: &Tracer,
-    rays: &[Ray],
-    probes: &[Probe],
-    depth: Option<&DepthProbe>,
-) -> Result<RenderedView> {
+#[must_use]
+pub fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Option<&DepthProbe>) -> RenderedView {
     let background: DVec3 = tracer.background();
     let mut buffers = TraceBuffers::default();
     // The middle of every interval makes the image deterministic.
@@ -224,10 +216,7 @@ pub(crate) struct WeightedRays<'a> {
 
 impl WeightedRays<'_> {
     /// The image of one row.
-    ///
-    /// # Errors
-    /// Those of the probes.
-    pub fn view(self, probes: &[Probe], of_depth: &[&dyn DepthVariance]) -> Result<RenderedView> {
+    pub fn view(self, probes: &[Probe], of_depth: &[&dyn DepthVariance]) -> RenderedView {
         let rays = self.rays;
         let mut row = RenderedView {
             resolution: [rays.len() as u32, 1],
@@ -260,8 +249,8 @@ impl WeightedRays<'_> {
             weighted.push(ray);
         }
         for probe in probes {
-            row.log10_uncertainty.extend(averages(&weighted, probe)?);
+            row.log10_uncertainty.extend(averages(&weighted, probe));
         }
-        Ok(row)
+        row
     }
 }

@@ -147,7 +147,7 @@ impl Renderer for VolumeRenderer<'_> {
         let rendered = views.par_chunks(self.together(views)).map(|views| {
             check(monitor)?;
             let rays = views.iter().flat_map(|(camera, points)| points.iter().map(|&[x, y]| camera.ray(x, y)));
-            render_rays(&self.tracer, &rays.collect::<Vec<Ray>>(), &[], None)
+            Ok(render_rays(&self.tracer, &rays.collect::<Vec<Ray>>(), &[], None))
         });
         let parts = rendered.collect::<Result<Vec<RenderedView>>>()?;
         let points: usize = parts.iter().map(|part| part.pixels.len()).sum();

@@ -93,7 +93,7 @@ pub fn unseen(
     }
     let Ok(around) = Around::like(cameras, field.lattice().domain(), None) else { return Ok(()) };
     // Of a part of a run it is not known where all of its rays passed.
-    if field.tile().is_some() || field.record().is_part() {
+    if field.record().is_part() {
         return Ok(());
     }
     let sides = around.orbit(SIDES);
@@ -122,9 +122,5 @@ pub fn field(field: &UncertaintyField, pooling: Pooling, could_pool: bool, tell:
         tell(Message::Note(format!(
             "half of the vertices that moved are supported by {few}; {way_out}more --rays is better"
         )));
-    }
-    if let Some(tile) = field.tile().filter(|_| field.sums().is_some_and(|sums| sums.iter().all(|s| s.rays == 0))) {
-        let text = format!("tile {tile} has no vertex that a ray touched: the scene is too small for so many tiles");
-        tell(Message::Note(text));
     }
 }

@@ -3,7 +3,7 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 27] = [
+const FLAGS: [(&str, &str); 26] = [
     ("angle of view", "--fov"),
     ("audit", "--audit"),
     ("candidates", "--candidates"),
@@ -29,7 +29,6 @@ const FLAGS: [(&str, &str); 27] = [
     ("run to a mean error", "--target-error"),
     ("scale", "--scale data"),
     ("shard", "--shard"),
-    ("tile", "--tile"),
     ("training views", "--views"),
 ];
 

@@ -2,7 +2,7 @@
 
 use crate::monitor::Message;
 use crate::render::RenderedView;
-use crate::uncertainty::{Answers, NEARLY_ALL, threshold_warning};
+use crate::uncertainty::{BakedField, NEARLY_ALL, threshold_warning};
 use crate::{Error, Result};
 
 /// Share of the pixels that a share of visible surfaces may take without a word.
@@ -38,14 +38,14 @@ impl Threshold {
     /// surface.
     ///
     /// # Errors
-    /// If a share is asked of a field without points on visible surfaces, or if the field cannot be read.
-    pub fn log10(self, field: &dyn Answers, tell: &mut dyn FnMut(Message)) -> Result<f64> {
-        let prior = field.record().reading().prior().log10();
+    /// If a share is asked of a field without points on visible surfaces.
+    pub fn log10(self, field: &BakedField, tell: &mut dyn FnMut(Message)) -> Result<f64> {
+        let prior = field.field().record().reading().prior().log10();
         match self {
             Self::Log10(log10) => {
                 if log10 >= prior {
                     let share = (0.0..=100.0).contains(&log10).then(|| field.surface_quantiles([0.01 * log10]));
-                    let hint = share.transpose()?.flatten().map_or(String::new(), |[usual]| {
+                    let hint = share.flatten().map_or(String::new(), |[usual]| {
                         format!("; as a share of visible surfaces, {log10}%, the threshold is log10 U = {usual:.3}")
                     });
                     tell(Message::Warning(format!(
@@ -53,12 +53,12 @@ impl Threshold {
                          {prior:.3}{hint}"
                     )));
                 }
-                let warning = threshold_warning(field, log10)?;
+                let warning = threshold_warning(field, log10);
                 warning.iter().for_each(|text| tell(Message::Warning(format!("--threshold: {text}"))));
                 Ok(log10)
             }
             Self::Share(share) => {
-                let Some([log10]) = field.surface_quantiles([share])? else {
+                let Some([log10]) = field.surface_quantiles([share]) else {
                     let expected = "a field with points on visible surfaces, for a share";
                     return Err(Error::setting("--threshold", expected, "one without"));
                 };
@@ -71,17 +71,14 @@ impl Threshold {
 
     /// Notes if the threshold removes many more of a view's pixels than its value suggests: a share removes
     /// several times itself, or a number removes nearly all, and `field` gave no warning.
-    ///
-    /// # Errors
-    /// If the field cannot be read.
     pub fn note_pixels(
         self,
         view: &RenderedView,
         cleaned: &RenderedView,
-        field: &dyn Answers,
+        field: &BakedField,
         tell: &mut dyn FnMut(Message),
-    ) -> Result<()> {
-        let Some(removed) = removed_share(view, cleaned) else { return Ok(()) };
+    ) {
+        let Some(removed) = removed_share(view, cleaned) else { return };
         let percent = 100.0 * removed;
         match self {
             Self::Share(kept) if removed > MAX_QUIET_PIXEL_SHARE.max(MAX_QUIET_RATIO * (1.0 - kept)) => {
@@ -92,7 +89,7 @@ impl Threshold {
                     100.0 * kept
                 )));
             }
-            Self::Log10(log10) if removed >= NEARLY_ALL && threshold_warning(field, log10)?.is_none() => {
+            Self::Log10(log10) if removed >= NEARLY_ALL && threshold_warning(field, log10).is_none() => {
                 tell(Message::Warning(format!(
                     "the clean-up removes {percent:.1} % of the pixels that show matter in this view: log10 U is above \
                      {log10} there (a share of visible surfaces has a percent sign: --threshold 99%)"
@@ -100,7 +97,6 @@ impl Threshold {
             }
             _ => {}
         }
-        Ok(())
     }
 }
 

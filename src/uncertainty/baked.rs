@@ -10,8 +10,8 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Answers, Estimate, Summary, Support, UncertaintyField};
-use crate::Result;
+use super::observability::at_shares;
+use super::{Estimate, Support, UncertaintyField};
 use crate::octree::{Cell, LeafTable, trilinear};
 
 /// Points whose leaves are found before the values of any are read, so that the memory works on many at a time.
@@ -51,11 +51,11 @@ impl<'a> BakedField<'a> {
     pub fn within(room: usize, field: &'a UncertaintyField) -> Self {
         let octree = match &field.support {
             Support::Octree(octree) if field.error_bars().is_none() => octree,
-            _ => return Self { field, baked: None },
+            _ => return Self::unbaked(field),
         };
         let leaves: u64 = octree.cells().leaves_per_level().iter().sum();
         if leaves > LeafTable::MAX_LEAVES || leaves as usize * size_of::<Corners>() > room {
-            return Self { field, baked: None };
+            return Self::unbaked(field);
         }
         let table = LeafTable::new(octree.cells());
         let mut leaves: Vec<Cell> = vec![Cell { level: 0, index: [0; 3] }; table.len()];
@@ -68,6 +68,18 @@ impl<'a> BakedField<'a> {
         };
         let corners = leaves.par_iter().map_init(|| octree.cursor(), corners).collect();
         Self { field, baked: Some((table, corners)) }
+    }
+
+    /// The field as it is, where too few questions are to come for anything else.
+    #[must_use]
+    pub fn unbaked(field: &'a UncertaintyField) -> Self {
+        Self { field, baked: None }
+    }
+
+    /// The field itself.
+    #[must_use]
+    pub fn field(&self) -> &'a UncertaintyField {
+        self.field
     }
 
     /// Bytes on the heap beside the field.
@@ -114,6 +126,13 @@ impl<'a> BakedField<'a> {
         (0..points.len()).into_par_iter().with_min_len(32 * TOGETHER).map_init(none, one).collect()
     }
 
+    /// log10 U at these shares of the points on visible surfaces: [`UncertaintyField::surface_quantiles`].
+    #[must_use]
+    pub fn surface_quantiles<const N: usize>(&self, shares: [f64; N]) -> Option<[f64; N]> {
+        let points: Vec<Vec3> = self.field.surface().iter().copied().map(Vec3::from_array).collect();
+        at_shares(&self.query_all(&points), shares)
+    }
+
     /// The number of the leaf around a point, its level, and the weights of its corners; `None` outside.
     #[inline(always)]
     fn leaf(&self, table: &LeafTable, x: Vec3) -> Option<Found> {
@@ -132,23 +151,6 @@ impl<'a> BakedField<'a> {
         let uncertainty = self.field.record.covariance.interpolate(&deviations.map(f64::from), &weights);
         let rays: f64 = rays.iter().zip(weights).map(|(rays, w)| w * f64::from(*rays)).sum();
         Estimate { uncertainty, log10_error: None, rays: (!rays.is_nan()).then_some(rays), level, inside: true }
-    }
-}
-
-impl Answers for BakedField<'_> {
-    fn facts(&self) -> &UncertaintyField {
-        self.field
-    }
-
-    fn estimates(&self, points: &[Vec3]) -> Result<Vec<Estimate>> {
-        Ok(self.query_all(points))
-    }
-
-    fn summary(&self) -> Result<Summary> {
-        let mut summary = self.field.summary();
-        summary.query_bytes += self.memory();
-        summary.structure_bytes += self.memory();
-        Ok(summary)
     }
 }
 
@@ -179,7 +181,7 @@ mod tests {
             points.extend((0..5_000).map(|i| domain.to_scene((unit(i) * 64.0).round() / 64.0).as_vec3()));
             points.extend(field.surface().iter().map(|&x| Vec3::from_array(x)));
             points.extend([Vec3::NAN, Vec3::splat(1e9)]);
-            let (found, expected) = (baked.answers(&points).unwrap(), field.answers(&points).unwrap());
+            let (found, expected) = (baked.answers(&points), field.answers(&points));
             // The mean of hanging corners is rounded to f32, by 2^-24 of itself; then come a few operations in f64.
             let near = |a: f64, b: f64| (a - b).abs() <= 2_f64.powi(-23) * b;
             for ((x, a), b) in points.iter().zip(&found).zip(&expected) {

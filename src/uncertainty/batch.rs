@@ -13,6 +13,8 @@ use crate::octree::{Corner, Cursor, Octree, VertexId, morton};
 /// Maximal number of points sorted together: enough that even leaves at surfaces contain several of them, and few
 /// enough that the sorted order stays in a cache.
 const TILE: usize = 1 << 18;
+/// Fewer points than this are answered one by one: sorting them and waking threads would take longer.
+const MIN_SORTED_POINTS: usize = 64;
 
 /// Values at the corners of a leaf.
 pub(super) struct LeafValues {
@@ -27,6 +29,7 @@ impl UncertaintyField {
     #[must_use]
     pub fn query_all(&self, points: &[Vec3]) -> Vec<Estimate> {
         match &self.support {
+            _ if points.len() < MIN_SORTED_POINTS => points.iter().map(|&x| self.query(x)).collect(),
             Support::Dense => points.par_iter().with_min_len(1024).map(|&x| self.query(x)).collect(),
             Support::Octree(octree) => {
                 // By all threads: the first touch of so much memory takes its time.

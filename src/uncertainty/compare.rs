@@ -5,7 +5,7 @@ use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
 
-use super::{Answers, Support, UncertaintyField};
+use super::{Support, UncertaintyField};
 use crate::metrics::quantile;
 use crate::octree::OctreeStats;
 use crate::{Error, Result};
@@ -106,43 +106,40 @@ const MAX_POINTS: usize = 100_000_000;
 /// samples lie where its rays went, and there it would look better than it is.
 ///
 /// # Errors
-/// If the fields have different domains, one of them cannot be read, or there are more than 100 million points.
-pub fn compare(a: &dyn Answers, b: &dyn Answers, points: usize, seed: u64) -> Result<Comparison> {
+/// If the fields have different domains, or there are more than 100 million points.
+pub fn compare(a: &UncertaintyField, b: &UncertaintyField, points: usize, seed: u64) -> Result<Comparison> {
     if points > MAX_POINTS {
         return Err(Error::setting("points", format!("at most {MAX_POINTS}"), points.to_string()));
     }
     let domain = a.lattice().domain();
     if domain != b.lattice().domain() {
-        let text = |f: &dyn Answers| f.lattice().domain().to_string();
+        let text = |f: &UncertaintyField| f.lattice().domain().to_string();
         return Err(Error::setting("the fields' boxes", format!("the same box or contraction, {}", text(a)), text(b)));
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut draw = || domain.clamp(domain.to_scene(DVec3::from(rng.random::<[f64; 3]>())).as_vec3());
     let in_box: Vec<Vec3> = (0..points).map(|_| draw()).collect();
-    let of_b = b.surface()?;
-    let surface = if of_b.is_empty() { a.surface()? } else { of_b };
+    let surface = if b.surface().is_empty() { a.surface() } else { b.surface() };
     let surface: Vec<Vec3> = surface.iter().take(points).map(|&x| Vec3::from_array(x)).collect();
     Ok(Comparison {
-        fields: [a.summary()?, b.summary()?],
-        in_box: difference(a, b, &in_box)?,
-        on_surfaces: difference(a, b, &surface)?,
+        fields: [a.summary(), b.summary()],
+        in_box: difference(a, b, &in_box),
+        on_surfaces: difference(a, b, &surface),
     })
 }
 
 /// The difference over `points`; `None` without points.
-fn difference(a: &dyn Answers, b: &dyn Answers, points: &[Vec3]) -> Result<Option<Difference>> {
-    let log10 = |field: &dyn Answers| -> Result<Vec<f64>> {
-        Ok(field.estimates(points)?.iter().map(|found| found.uncertainty.log10()).collect())
+fn difference(a: &UncertaintyField, b: &UncertaintyField, points: &[Vec3]) -> Option<Difference> {
+    let log10 = |field: &UncertaintyField| -> Vec<f64> {
+        field.query_all(points).iter().map(|found| found.uncertainty.log10()).collect()
     };
-    let (of_a, of_b) = (log10(a)?, log10(b)?);
+    let (of_a, of_b) = (log10(a), log10(b));
     let mut differences: Vec<f64> = of_a.iter().zip(&of_b).map(|(a, b)| (a - b).abs()).collect();
-    let Some(at) = (0..points.len()).max_by(|&i, &j| differences[i].total_cmp(&differences[j])) else {
-        return Ok(None);
-    };
+    let at = (0..points.len()).max_by(|&i, &j| differences[i].total_cmp(&differences[j]))?;
     let max = differences[at];
     let mean = differences.iter().sum::<f64>() / points.len() as f64;
     differences.par_sort_unstable_by(f64::total_cmp);
-    Ok(Some(Difference {
+    Some(Difference {
         points: points.len(),
         mean,
         percentile_95: quantile(&differences, 0.95),
@@ -150,5 +147,5 @@ fn difference(a: &dyn Answers, b: &dyn Answers, points: &[Vec3]) -> Result<Optio
         max,
         max_at: points[at].to_array(),
         log10_at_max: [of_a[at], of_b[at]],
-    }))
+    })
 }

@@ -43,7 +43,6 @@ use super::{RunRecord, Support, UncertaintyField};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Item, Reader, Section};
 use crate::octree::Octree;
-use crate::posterior::VertexSums;
 use crate::{Error, Result};
 
 /// The version that this crate reads and writes.
@@ -96,6 +95,10 @@ impl Source {
         }
         if let Some((name, expected, found)) = record.impossible() {
             return Err(Error::malformed(path, format!("header, {name}"), expected, found));
+        }
+        if heads.contains_key("tile") {
+            // Earlier programs wrote fields of a part of their box only; elsewhere these are as if nothing was seen.
+            return Err(Error::malformed(path, "header, layer `tile`", "a field of all of its box", "a tile of it"));
         }
         let (is_dense, layers) = (matches!(kind, Kind::Dense), Layers::default());
         Ok(Self { path: path.to_path_buf(), file, kind, heads, record, lattice, is_dense, vertices: 0, layers })
@@ -193,12 +196,11 @@ impl UncertaintyField {
     /// If the file is missing, or is not complete, or not a field of this version.
     pub(super) fn read_head(path: &Path) -> Result<Head> {
         let mut file = Source::open(path)?;
-        let [has_sums, has_error_bars] =
-            [Vec::<VertexSums>::NAME, ErrorBars::NAME].map(|name| file.heads.contains_key(name));
-        let (tile, ray_sets) = (file.layer()?, file.layer()?.unwrap_or_default());
+        let has_error_bars = file.heads.contains_key(ErrorBars::NAME);
+        let ray_sets = file.layer()?.unwrap_or_default();
         let Source { record, lattice, is_dense, .. } = file;
         let name = path.display().to_string();
-        Ok(Head { name, record, lattice, ray_sets, tile, is_dense, has_sums, has_error_bars })
+        Ok(Head { name, record, lattice, ray_sets, is_dense, has_error_bars })
     }
 
     /// Whether a file holds error bars, by its header.

@@ -22,16 +22,15 @@ mod recompute;
 mod record;
 mod shown;
 mod threshold;
-mod tiled;
 mod to_dense;
 
-pub use answers::{Answer, Answers};
+pub use answers::Answer;
 pub use baked::BakedField;
 pub use compare::{Comparison, Difference, Summary, compare};
 pub use file::FORMAT_VERSION;
 pub use layers::{ErrorBars, ErrorSummary};
 pub use matrices::Matrices;
-pub use merge::{finish_tiles, merge, merge_with_error_bars};
+pub use merge::{merge, merge_with_error_bars};
 pub use observability::Observability;
 #[cfg(feature = "files")]
 pub use official::OfficialGrid;
@@ -39,7 +38,6 @@ pub use query::Estimate;
 pub use record::RunRecord;
 pub use shown::{Unknown, shown_log10, unknowns};
 pub use threshold::{NEARLY_ALL, ThresholdedField, is_certain, threshold_warning};
-pub use tiled::TiledField;
 
 // What only the program, Python and the experiments name.
 #[doc(hidden)]
@@ -130,10 +128,10 @@ impl UncertaintyField {
         octree: Octree,
         gathers_sums: bool,
     ) -> Self {
-        let (limits, tile) = (posterior.limits().clone(), posterior.tile());
-        let must = record.is_part() || record.pooling.is_on() || tile.is_some();
+        let limits = posterior.limits().clone();
+        let must = record.is_part() || record.pooling.is_on();
         assert!(if gathers_sums { S::IS_WHOLE } else { !must }, "a part of a run, or a pooled one, needs all sums");
-        let mut field = if gathers_sums {
+        if gathers_sums {
             let sums = posterior.sums_at(&octree);
             drop(posterior);
             Self::on_leaves(record, lattice, Support::Octree(octree), limits, sums)
@@ -141,18 +139,16 @@ impl UncertaintyField {
             let (deviations, rays) = posterior.values(&record.reading(), &octree, by_vertex::encode);
             let values = (deviations.into(), rays.into());
             Self::from_values(record, lattice, Support::Octree(octree), limits, values)
-        };
-        field.layers.tile = tile;
-        field
+        }
     }
 
-    /// Whether this is only a part of a run, whose other shards or tiles are missing.
+    /// Whether this is only a part of a run, whose other shards are missing.
     #[must_use]
     pub fn is_part(&self) -> bool {
         self.layers.is_part(&self.record)
     }
 
-    /// Whether other shards or tiles are still to be added: its sums and counts are exact.
+    /// Whether other shards are still to be added: its sums and counts are exact.
     pub(crate) fn is_to_be_merged(&self) -> bool {
         self.is_part() && self.layers.sums.is_some()
     }
@@ -265,7 +261,7 @@ impl UncertaintyField {
 impl Layers {
     /// Whether a field with this record is only a part of a run.
     fn is_part(&self, record: &RunRecord) -> bool {
-        self.tile.is_some() || record.is_part() || self.ray_sets.iter().flatten().any(RaySet::is_part)
+        record.is_part() || self.ray_sets.iter().flatten().any(RaySet::is_part)
     }
 }
 

@@ -2,8 +2,7 @@
 
 use glam::Vec3;
 
-use super::{Answer, Answers, Observability};
-use crate::Result;
+use super::{Answer, BakedField, Observability};
 use crate::geometry::Camera;
 use crate::render::{Pixel, RenderedView};
 
@@ -21,22 +20,15 @@ pub enum Unknown {
 
 /// Why U is undefined at the median depths of the pixels, `[height · width]`; `None` where it is defined.
 /// `offset` is the position in a pixel that its ray passed through.
-///
-/// # Errors
-/// If the field cannot be read.
-pub fn unknowns(
-    field: &dyn Answers,
-    camera: &Camera,
-    offset: f64,
-    view: &RenderedView,
-) -> Result<Vec<Option<Unknown>>> {
+#[must_use]
+pub fn unknowns(field: &BakedField, camera: &Camera, offset: f64, view: &RenderedView) -> Vec<Option<Unknown>> {
     let points: Vec<Vec3> = view.median_points(camera, offset).map(|(_, x)| x.as_vec3()).collect();
     let unknown = |(found, pixel): (Answer, &Pixel)| match found.observability {
         _ if !found.estimate.inside => (pixel.opacity > FAINT).then_some(Unknown::Outside),
         Some(Observability::Unseen) if pixel.opacity > 0.5 => Some(Unknown::Unseen),
         _ => None,
     };
-    Ok(field.answers(&points)?.into_iter().zip(&view.pixels).map(unknown).collect())
+    field.answers(&points).into_iter().zip(&view.pixels).map(unknown).collect()
 }
 
 /// The log10 U that a picture shows, one of the view's ray averages, `[height · width]`: NaN where the opacity is 0.05

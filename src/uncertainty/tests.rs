@@ -60,16 +60,15 @@ fn fields(covariance: Covariance, scale: f64) -> [UncertaintyField; 2] {
 }
 
 /// As in a run: a part is refined wherever a ray passed.
-pub(super) fn refinement(record: &RunRecord, posterior: &OctreePosterior) -> Refinement {
+pub(super) fn refinement(record: &RunRecord) -> Refinement {
     let reading = record.reading();
-    let is_part = record.is_part() || posterior.tile().is_some();
-    let floor = if is_part { Refinement::EVERYTHING } else { reading.floor() };
+    let floor = if record.is_part() { Refinement::EVERYTHING } else { reading.floor() };
     Refinement::above(floor, &reading, record.criteria, Vec::new())
 }
 
 /// The field of sums on the octree that is refined for them.
 pub(super) fn on_own_octree(record: RunRecord, lattice: Lattice, posterior: OctreePosterior) -> UncertaintyField {
-    let octree = posterior.octree(&refinement(&record, &posterior));
+    let octree = posterior.octree(&refinement(&record));
     UncertaintyField::on_octree(record, lattice, posterior, octree, true)
 }
 

@@ -1,14 +1,11 @@
 //! Clean-up: removes the density that is too uncertain from a field (the paper, Sec. 5.2).
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
 use glam::Vec3;
 
-use super::{Answer, Answers, Observability};
+use super::{Answer, BakedField, Observability};
 use crate::field::{Radiance, RadianceField, TrainedField};
 use crate::geometry::Aabb;
 use crate::splats::Splats;
-use crate::{Error, Result};
 
 /// Largest share of the visible surfaces that a clean-up removes without a warning.
 pub const NEARLY_ALL: f64 = 0.9;
@@ -17,52 +14,46 @@ const USUAL: f64 = 0.99;
 
 /// A warning for a threshold of log10 U that nearly all points on visible surfaces exceed: it may have been meant as a
 /// share of them. `None` if they do not exceed it, or if the field has no such points.
-///
-/// # Errors
-/// If a part of the field cannot be read.
-pub fn threshold_warning(field: &dyn Answers, log10: f64) -> Result<Option<String>> {
+#[must_use]
+pub fn threshold_warning(field: &BakedField, log10: f64) -> Option<String> {
     let share = if log10 > 0.0 && log10 < 1.0 { log10 } else { USUAL };
-    let Some([usual]) = field.surface_quantiles([share])? else { return Ok(None) };
-    let points: Vec<Vec3> = field.surface()?.iter().copied().map(Vec3::from_array).collect();
-    let above = field.estimates(&points)?.iter().filter(|found| found.uncertainty.log10() > log10).count();
+    let [usual] = field.surface_quantiles([share])?;
+    let points: Vec<Vec3> = field.field().surface().iter().copied().map(Vec3::from_array).collect();
+    let above = field.query_all(&points).iter().filter(|found| found.uncertainty.log10() > log10).count();
     let removed = above as f64 / points.len() as f64;
-    Ok((removed >= NEARLY_ALL).then(|| {
+    (removed >= NEARLY_ALL).then(|| {
         let percents = [100.0 * removed, 100.0 * share].map(|percent| (100.0 * percent).round() / 100.0);
         let [removed, share] = percents;
         format!(
             "log10 U is above {log10} on {removed} % of the visible surfaces, where density is removed; as a share, \
              {share}%, the threshold is log10 U = {usual:.3}"
         )
-    }))
+    })
 }
 
 /// `[n]`: which splats a clean-up keeps: those at whose centre log10 U is at most `threshold`, but none that was never
 /// seen, whose U is not that of a look at it. From the prior on, all are kept.
-///
-/// # Errors
-/// If a part of the field cannot be read.
-pub fn is_certain(splats: &Splats, field: &dyn Answers, threshold: f64) -> Result<Vec<bool>> {
-    let is_all = threshold >= field.record().reading().prior().log10();
+#[must_use]
+pub fn is_certain(splats: &Splats, field: &BakedField, threshold: f64) -> Vec<bool> {
+    let is_all = threshold >= field.field().record().reading().prior().log10();
     let is_kept = |at: Answer| {
         at.estimate.uncertainty.log10() <= threshold && (is_all || at.observability != Some(Observability::Unseen))
     };
-    Ok(field.answers(splats.means())?.into_iter().map(is_kept).collect())
+    field.answers(splats.means()).into_iter().map(is_kept).collect()
 }
 
 /// A radiance field whose density is zero wherever log10 U exceeds a threshold.
 pub struct ThresholdedField<'a> {
     field: &'a dyn RadianceField,
-    uncertainty: &'a dyn Answers,
+    uncertainty: &'a BakedField<'a>,
     threshold: f64,
-    /// Radiance fields cannot fail, but reading U may.
-    failure: Mutex<Option<Error>>,
 }
 
 impl<'a> ThresholdedField<'a> {
     /// `field` with the density where log10 U is at most `threshold`.
     #[must_use]
-    pub fn new(field: &'a dyn RadianceField, uncertainty: &'a dyn Answers, threshold: f64) -> Self {
-        Self { field, uncertainty, threshold, failure: Mutex::new(None) }
+    pub fn new(field: &'a dyn RadianceField, uncertainty: &'a BakedField<'a>, threshold: f64) -> Self {
+        Self { field, uncertainty, threshold }
     }
 
     /// The field before the clean-up.
@@ -73,7 +64,7 @@ impl<'a> ThresholdedField<'a> {
 
     /// Its uncertainty.
     #[must_use]
-    pub fn uncertainty(&self) -> &'a dyn Answers {
+    pub fn uncertainty(&self) -> &'a BakedField<'a> {
         self.uncertainty
     }
 
@@ -83,26 +74,13 @@ impl<'a> ThresholdedField<'a> {
         self.threshold
     }
 
-    fn failure(&self) -> MutexGuard<'_, Option<Error>> {
-        // A panic elsewhere leaves it sound: it is changed by single assignments.
-        self.failure.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Calls `remove` for the index of every point at which nothing is kept.
     fn for_each_removed(&self, positions: &[Vec3], has_density: impl Fn(usize) -> bool, mut remove: impl FnMut(usize)) {
         let dense: Vec<usize> = (0..positions.len()).filter(|&i| has_density(i)).collect();
         let points: Vec<Vec3> = dense.iter().map(|&i| positions[i]).collect();
-        match self.uncertainty.estimates(&points) {
-            Ok(found) => {
-                let is_kept = |uncertainty: f64| uncertainty.log10() <= self.threshold;
-                let removed = dense.into_iter().zip(found).filter(|(_, found)| !is_kept(found.uncertainty));
-                removed.for_each(|(i, _)| remove(i));
-            }
-            Err(error) => {
-                self.failure().get_or_insert(error);
-                dense.into_iter().for_each(remove);
-            }
-        }
+        let is_kept = |uncertainty: f64| uncertainty.log10() <= self.threshold;
+        let found = dense.into_iter().zip(self.uncertainty.query_all(&points));
+        found.filter(|(_, found)| !is_kept(found.uncertainty)).for_each(|(i, _)| remove(i));
     }
 }
 
@@ -132,7 +110,7 @@ impl RadianceField for ThresholdedField<'_> {
     }
 
     fn batch(&self) -> usize {
-        self.field.batch().max(self.uncertainty.points_at_once())
+        self.field.batch()
     }
 
     fn memory(&self) -> usize {
@@ -141,11 +119,6 @@ impl RadianceField for ThresholdedField<'_> {
 }
 
 impl TrainedField for ThresholdedField<'_> {
-    /// The first error of [`Answers::estimates`], once: without an answer from the uncertainty, there was no density.
-    fn check(&self) -> Result<()> {
-        self.failure().take().map_or(Ok(()), Err)
-    }
-
     fn describe(&self) -> String {
         format!("a field, cleaned at log10 U <= {}", self.threshold)
     }

@@ -13,7 +13,7 @@ use super::page::{Page, Parts, write};
 use crate::export::SeenSplats;
 use crate::geometry::Aabb;
 use crate::splats::{BEYOND, DARK, FAINTEST, MOST_OPAQUE, NEAR, Splats};
-use crate::uncertainty::{Answers, Observability};
+use crate::uncertainty::Observability;
 use crate::{Error, Result};
 
 const SCRIPTS: [&str; 2] = [include_str!("web/splats.js"), include_str!("web/splats-renderer.js")];
@@ -190,7 +190,7 @@ struct Packed {
 impl Packed {
     /// Packs the splats `chosen`.
     fn new(view: &SplatsView, chosen: &[usize]) -> Result<Self> {
-        let shown = shown(view, chosen)?;
+        let shown = shown(view, chosen);
         let bounds = |of: fn(Vec3, Vec3) -> Vec3| shown.iter().map(|splat| splat.mean).reduce(of).unwrap_or_default();
         let [low, high] = [bounds(Vec3::min), bounds(Vec3::max)].map(Vec3::as_dvec3);
         // Not flat, even if there is one splat.
@@ -205,10 +205,10 @@ impl Packed {
 }
 
 /// What is shown of the splats `chosen`.
-fn shown(view: &SplatsView, chosen: &[usize]) -> Result<Vec<Shown>> {
+fn shown(view: &SplatsView, chosen: &[usize]) -> Vec<Shown> {
     let splats = view.splats;
     let means: Vec<Vec3> = chosen.iter().map(|&i| splats.mean(i)).collect();
-    let found = view.page.field.answers(&means)?;
+    let found = view.page.field.answers(&means);
     let seen_color = |i: usize| view.seen.and_then(|seen| seen.colors[i]);
     let shown = |(&i, found): (&usize, crate::uncertainty::Answer)| Shown {
         mean: splats.mean(i),
@@ -219,7 +219,7 @@ fn shown(view: &SplatsView, chosen: &[usize]) -> Result<Vec<Shown>> {
         log10: found.estimate.uncertainty.log10(),
         is_unseen: found.observability == Some(Observability::Unseen),
     };
-    Ok(chosen.iter().zip(found).map(shown).collect())
+    chosen.iter().zip(found).map(shown).collect()
 }
 
 /// The page as text.

@@ -16,7 +16,7 @@ use octobayes::render::{
     CameraView, ImagePoints, Outputs, Probe, RayAverage, RaySample, RaySamples, Renderer, VisibleSegment,
     WeightedSamples,
 };
-use octobayes::uncertainty::Answers;
+use octobayes::uncertainty::BakedField;
 
 /// Radius of the discs, scene units.
 const RADIUS: f64 = 0.12;
@@ -191,8 +191,8 @@ impl Model for Discs {
         Box::new(Drawn { discs: self, background: whole.background() })
     }
 
-    fn certain_part<'a>(&'a self, field: &'a dyn Answers, threshold: f64) -> Result<Option<Box<dyn Model + 'a>>> {
-        let found = field.estimates(&self.centers)?;
+    fn certain_part<'a>(&'a self, field: &'a BakedField<'a>, threshold: f64) -> Result<Option<Box<dyn Model + 'a>>> {
+        let found = field.query_all(&self.centers);
         let kept: Vec<usize> = (0..found.len()).filter(|&i| found[i].uncertainty.log10() <= threshold).collect();
         if kept.is_empty() {
             return Ok(None);
@@ -262,7 +262,7 @@ fn all_verbs_work_on_a_third_kind_of_model() {
     let readings = Reading::from_field("discs", &field, None, None).unwrap();
     let evaluated = Evaluator::new(&*renderer, &readings).evaluate(&truth, 0, &Silent).unwrap();
     assert!(evaluated.pixels.len() > 100 && evaluated.absolute_error.iter().all(|error| (error - 0.01).abs() < 1e-6));
-    let cleaned = clean_up(&discs, &*renderer, &field, &[truth], &[-5.0, 1.0], &Silent).unwrap();
+    let cleaned = clean_up(&discs, &*renderer, &BakedField::unbaked(&field), &[truth], &[-5.0, 1.0], &Silent).unwrap();
     assert!(cleaned[0].0.psnr == f64::INFINITY && cleaned[1].0.psnr < 20.0 && cleaned[2].0.psnr == f64::INFINITY);
 
     // Next view: from the other side more is new than from where the cameras stood.

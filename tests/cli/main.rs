@@ -29,5 +29,4 @@ mod scale;
 mod splats;
 mod streams;
 mod synth;
-mod tiles;
 mod train;

@@ -141,25 +141,6 @@ fn the_folder_of_a_checkpoint_is_looked_at_before_any_work() {
     }
 }
 
-/// A folder of tiles is as many inputs. A field that joins them would make the folder one that nobody can read.
-#[test]
-fn tiles_of_a_folder_that_is_read_are_inputs_and_stay_among_themselves() {
-    let desk = desk();
-    let run = RUN.replace(" --keep-sums", " --scale data --noise 0.1");
-    (0..2).for_each(|tile| drop(desk.good(&format!("{run} --tile {tile}/2 -o tile{tile}.oct"))));
-    // The folder need not exist.
-    desk.good("merge tile0.oct tile1.oct -o new/tiles");
-    symlink("new/tiles", desk.join("linked")).unwrap();
-    for (from, to) in [("new/tiles", "linked"), ("linked", "new/tiles")] {
-        let evaluate = EVALUATE.replace("field.oct", from);
-        desk.refused(&format!("{evaluate} --csv {to}/tile-000-of-002.oct"), &["the same file as"]);
-        desk.refused(&format!("export {from} -o {to}/tile-001-of-002.oct"), &["the same file as"]);
-        desk.refused(&format!("export {from} -o {to}/other.oct"), &["another folder than the tiles"]);
-    }
-    desk.good("query new/tiles 0,0,0 -o new/tiles/answers.csv");
-    desk.good("query new/tiles 0,0,0 -o new/tiles/answers.csv");
-}
-
 /// The demo replaces results of an earlier one in its folder, and no files of others.
 #[test]
 fn the_demo_replaces_results_of_a_demo_only() {

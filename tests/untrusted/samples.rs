@@ -196,7 +196,6 @@ pub fn run_key(settings: &GridSettings) -> RunKey {
         pixel_offset: 0.5,
         rays_per_vertex: 0.0,
         limits: 0,
-        tile: None,
     }
 }
 

@@ -10,7 +10,7 @@ use crate::field::RadianceField;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
 use crate::render::{CompositingWeights, TraceBuffers};
-use crate::uncertainty::{Answers, Estimate, ThresholdedField};
+use crate::uncertainty::{BakedField, Estimate, ThresholdedField};
 
 /// Side of the pictures that are looked at, pixels.
 const RESOLUTION: u32 = 60;
@@ -36,7 +36,7 @@ impl Matter {
     pub fn seen(
         field: &dyn RadianceField,
         cameras: &[Camera],
-        uncertainty: &dyn Answers,
+        uncertainty: &BakedField,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
         let settings = RaySettings::default().cutoff(1e-4).occupancy(OCCUPANCY);
@@ -59,7 +59,7 @@ impl Matter {
                 let weighted = quadrature.weights.iter().zip(&buffers.traced.positions);
                 let counted = weighted.filter(|(weight, _)| **weight >= LEAST_WEIGHT);
                 let (weights, positions): (Vec<f64>, Vec<Vec3>) = counted.map(|(w, x)| (*w, *x)).unzip();
-                let estimates = uncertainty.estimates(&positions)?;
+                let estimates = uncertainty.query_all(&positions);
                 let sample = |((weight, position), found): ((f64, Vec3), Estimate)| Sample {
                     weight,
                     position,

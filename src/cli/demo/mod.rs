@@ -29,7 +29,7 @@ use crate::picture::{Panel, color_panel, write_noted_sheet, write_sheet};
 use crate::rays::RunProgress;
 use crate::render::{GradientMethod, Probe, RayAverage, RenderedView, render_view};
 use crate::train::Quality;
-use crate::uncertainty::{ThresholdedField, UncertaintyField, compare, unknowns};
+use crate::uncertainty::{BakedField, ThresholdedField, UncertaintyField, compare, unknowns};
 use crate::viewer::{Page, VolumeView, write_volume};
 use crate::{Error, Result};
 
@@ -213,7 +213,8 @@ impl Args {
         let share = format!("which {:.0}% of the visible surfaces do not exceed", 100.0 * KEPT);
         say!("clean-up: no density where log10 U is above {threshold:.3}, {share}")?;
         let Some(truth) = &subject.truth else { return Ok(()) };
-        let model = ThresholdedField::new(subject.field.as_ref(), uncertainty, threshold);
+        let unbaked = BakedField::unbaked(uncertainty);
+        let model = ThresholdedField::new(subject.field.as_ref(), &unbaked, threshold);
         let Shares { made_up_seen, made_up_behind, removed, kept } = Shares::measure(&model, truth, bars)?;
         let [seen, behind, removed, kept] = [made_up_seen, made_up_behind, removed, kept].map(|share| 100.0 * share);
         say!("by the truth, the scene that the pictures show")?;
@@ -247,7 +248,8 @@ impl Args {
     fn pictures(&self, subject: &DemoScene, uncertainty: &UncertaintyField, shown: Shown, bars: &Bars) -> Result<()> {
         let Shown { low, threshold } = shown;
         let (field, prior) = (subject.field.as_ref(), uncertainty.prior().log10());
-        let cleaned = ThresholdedField::new(field, uncertainty, threshold);
+        let unbaked = BakedField::unbaked(uncertainty);
+        let cleaned = ThresholdedField::new(field, &unbaked, threshold);
         let truth = subject.truth.as_ref().map(|truth| &truth.scene as &dyn TrainedField);
         let probes = [Probe { field: uncertainty, averages: &[RayAverage::WeightedMean] }];
         let render = |field: &dyn TrainedField| -> Result<Vec<RenderedView>> {
@@ -269,7 +271,7 @@ impl Args {
         let rows: Vec<Vec<Panel>> = (0..views.len())
             .map(|i| {
                 let (name, camera) = subject.views()[i];
-                let unknown = unknowns(uncertainty, &camera, 0.5, &views[i])?;
+                let unknown = unknowns(&unbaked, &camera, 0.5, &views[i]);
                 let mut row = view_panels(&views[i], name, ranges, &unknown);
                 if let Some(truths) = &truths {
                     row.remove(1);
@@ -277,9 +279,9 @@ impl Args {
                     row[1].title = "model".into();
                 }
                 row.push(colors(&format!("cleaned: log10 U ≤ {threshold:.2}"), &cleaned[i]));
-                Ok(row)
+                row
             })
-            .collect::<Result<_>>()?;
+            .collect();
         let path = self.output.join("demo.png");
         if truth.is_some() { write_noted_sheet(&path, &rows, HOLLOW) } else { write_sheet(&path, &rows) }
     }

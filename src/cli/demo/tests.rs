@@ -27,7 +27,8 @@ fn a_clean_up_removes_what_is_made_up_and_keeps_what_is_seen() {
     let prior = uncertainty.prior().log10();
     assert!(low < threshold && threshold < prior - 0.1, "{low} {threshold} {prior}");
 
-    let cleaned = ThresholdedField::new(&model, &uncertainty, threshold);
+    let unbaked = BakedField::unbaked(&uncertainty);
+    let cleaned = ThresholdedField::new(&model, &unbaked, threshold);
     let shares = Shares::measure(&cleaned, &truth, &Silent).unwrap();
     // Nothing but the bar is made up. No ray reaches it, so U is the prior all over it.
     assert!(shares.made_up_seen < 1e-3 && shares.made_up_behind > 0.005, "{shares:?}");
@@ -36,7 +37,7 @@ fn a_clean_up_removes_what_is_made_up_and_keeps_what_is_seen() {
     assert!((0.98..0.998).contains(&shares.kept), "{shares:?}");
 
     // Nothing above the prior: nothing is removed.
-    let whole = ThresholdedField::new(&model, &uncertainty, prior + 1.0);
+    let whole = ThresholdedField::new(&model, &unbaked, prior + 1.0);
     let shares = Shares::measure(&whole, &truth, &Silent).unwrap();
     assert!(shares.kept == 1.0 && shares.removed.abs() < 1e-12, "{shares:?}");
 }

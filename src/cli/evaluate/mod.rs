@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use super::files::CommandFiles;
 use super::given::Given;
-use super::opened::OpenedField;
+use super::opened::open_field;
 use super::options::{
     CameraFile, DepthOptions, FrameOptions, ModelArgument, check_field_name, count, heading, parse_probability,
 };
@@ -219,7 +219,7 @@ impl Args {
         let averages = Some(&self.ray_average[..]).filter(|wanted| !wanted.is_empty());
         let (mut opened, mut readings) = (None, Vec::new());
         for path in &self.fields {
-            let field = OpenedField::open(path)?.whole()?;
+            let field = open_field(path)?;
             match &opened {
                 None => {
                     let model = OpenedModel::of_field(&field, path, &self.model.model, self.force, &mut tell)?;

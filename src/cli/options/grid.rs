@@ -9,12 +9,12 @@ use super::heading;
 use super::numbers::{MAX_COUNT, count};
 use super::parse::{parse_box, parse_contraction, parse_non_negative, parse_positive};
 use super::scale::ScaleOptions;
-use crate::cli::opened::OpenedField;
+use crate::cli::opened::open_field;
 use crate::estimate::{GridKind, GridSettings};
 use crate::geometry::{Aabb, Domain, Norm};
 use crate::posterior::{Covariance, Pooling};
 use crate::session::{Choices, Purpose};
-use crate::uncertainty::OfficialGrid;
+use crate::uncertainty::{OfficialGrid, UncertaintyField};
 use crate::{Error, Result};
 
 impl ValueEnum for Covariance {
@@ -192,8 +192,8 @@ impl OfficialOptions {
         }
     }
 
-    /// Opens a field: `.oct`, a folder of tiles, or the official code's `.npy`.
-    pub fn open(&self, path: &Path) -> Result<OpenedField> {
+    /// Opens a field: `.oct`, or the official code's `.npy`.
+    pub fn open(&self, path: &Path) -> Result<UncertaintyField> {
         match path {
             _ if is_official(path) => {
                 let bounds = self.bounds.ok_or_else(|| {
@@ -209,9 +209,9 @@ impl OfficialOptions {
                     rays
                 });
                 let grid = OfficialGrid { domain: Domain::Box(bounds), rays, lambda: None };
-                Ok(OpenedField::Whole(Box::new(grid.read(path)?)))
+                grid.read(path)
             }
-            _ => OpenedField::open(path),
+            _ => open_field(path),
         }
     }
 }

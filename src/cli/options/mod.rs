@@ -14,7 +14,7 @@ pub use numbers::{MAX_COUNT, MAX_KEPT_COUNT, RayCount, count, parse_time};
 pub use parse::{
     Frames, UTF_8, model_name, numbers, parse_background, parse_box, parse_bytes, parse_contraction, parse_direction,
     parse_frames, parse_pair, parse_positive, parse_probability, parse_range, parse_resolution, parse_share,
-    parse_tile, parse_views,
+    parse_views,
 };
 
 use clap::{Args, ValueEnum};

@@ -7,7 +7,6 @@ use glam::{DVec3, Vec3};
 use super::numbers::MAX_KEPT_COUNT;
 use crate::dataset::Selection;
 use crate::geometry::{Aabb, MAX_PIXELS, Norm};
-use crate::octree::Tile;
 use crate::posterior::DataScale;
 use crate::session::Resolution;
 
@@ -142,13 +141,6 @@ pub fn parse_share(text: &str) -> Result<f64, String> {
         Ok(v) if (0.0..=1.0).contains(&v) => Ok(v),
         _ => Err("expected a number from 0 to 1".into()),
     }
-}
-
-/// `I/N` with I < N, N a power of two.
-pub fn parse_tile(text: &str) -> Result<Tile, String> {
-    let numbers = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
-    let tile = numbers.and_then(|(index, of)| Tile::new(index, of));
-    tile.ok_or_else(|| format!("expected I/N with 0 <= I < N, N = 2, 4, 8, ... {}", Tile::MAX_TILES))
 }
 
 /// A probability that is neither impossible nor certain.

@@ -11,7 +11,7 @@ use glam::Vec3;
 
 use self::rays::RayQuery;
 use super::files::CommandFiles;
-use super::opened::OpenedField;
+use super::opened::open_field;
 use super::progress::Bars;
 use super::streams;
 use crate::dataset::PointReader;
@@ -19,7 +19,7 @@ use crate::error::printable;
 use crate::io::{AtomicFile, npy, refuse_pipe};
 use crate::monitor::check;
 use crate::posterior::{Covariance, Scale};
-use crate::uncertainty::{Answer, Answers, Observability, UncertaintyField};
+use crate::uncertainty::{Answer, Observability, UncertaintyField};
 use crate::{Error, Result};
 
 /// Points that are answered together. More are no faster, and this many with their answers take 30 MB.
@@ -45,9 +45,7 @@ const BATCH: usize = 1 << 18;
     octobayes query lego.oct points.csv -o answers.csv\n  \
     octobayes query lego.oct --ray 0,-3,0.5,0,1,0 --model lego.safetensors")]
 pub struct Args {
-    /// The field: `.oct`, or a folder of its tiles
-    ///
-    /// Tiles are read when a point in them is asked for, and kept as long as half of the free memory holds them.
+    /// The field: `.oct`
     field: PathBuf,
 
     /// Points x,y,z; or one file of points: `.npy`, `.csv`, or `-`
@@ -158,17 +156,13 @@ impl Args {
             .inputs("--model", &self.rays.model)
             .outputs("--output", named(&self.output))
             .check()?;
-        let field = OpenedField::open(&self.field)?;
-        if field.facts().record().scale == Scale::Paper {
+        let mut field = open_field(&self.field)?;
+        if field.record().scale == Scale::Paper {
             announce!(
                 "note: U of this field ranks places and is no length: it is in the paper's scale (`uncertainty --scale \
                  data` computes standard deviations in scene units)"
             );
         }
-        if let (None, Some(source)) = (self.covariance, &source) {
-            return self.answer_points(field.space(), open(source)?, &output, bars);
-        }
-        let mut field = field.whole()?;
         if let Some(covariance) = self.covariance {
             let had_error_bars = field.error_bars().is_some();
             field = field.with_covariance(covariance)?;
@@ -180,7 +174,7 @@ impl Args {
         self.answer_points(&field, open(&source)?, &output, bars)
     }
 
-    fn answer_points(&self, field: &dyn Answers, mut points: PointReader, to: &Format, bars: &Bars) -> Result<()> {
+    fn answer_points(&self, field: &UncertaintyField, mut points: PointReader, to: &Format, bars: &Bars) -> Result<()> {
         if *to == Format::Npy {
             return write_npy(&self.output, field, &mut points, bars);
         }
@@ -235,10 +229,10 @@ fn open(source: &Source) -> Result<PointReader<'_>> {
     Ok(points)
 }
 
-fn write_npy(path: &Path, field: &dyn Answers, points: &mut PointReader, bars: &Bars) -> Result<()> {
-    let columns = if field.has_error_bars() { 3 } else { 2 };
+fn write_npy(path: &Path, field: &UncertaintyField, points: &mut PointReader, bars: &Bars) -> Result<()> {
+    let columns = if field.error_bars().is_some() { 3 } else { 2 };
     // The number of rows stands at the start of the file, so that all must be read first.
-    let answers = field.answers(&points.rest()?)?;
+    let answers = field.answers(&points.rest()?);
     check(bars)?;
     let row =
         |Answer { estimate: a, .. }: &Answer| [a.uncertainty, a.uncertainty.log10(), a.log10_error.unwrap_or(f64::NAN)];
@@ -249,11 +243,11 @@ fn write_npy(path: &Path, field: &dyn Answers, points: &mut PointReader, bars: &
 /// Answers batch by batch. The inner error is that of `out`, the outer one that of the points.
 fn write_csv(
     out: &mut dyn Write,
-    field: &dyn Answers,
+    field: &UncertaintyField,
     points: &mut PointReader,
     bars: &Bars,
 ) -> Result<std::io::Result<()>> {
-    let with_errors = field.has_error_bars();
+    let with_errors = field.error_bars().is_some();
     let mut writer = csv::Writer::from_writer(out);
     let header = ["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays", "ray_coverage", "seen"];
     if let Err(error) = writer.write_record(header.iter().chain(with_errors.then_some(&"log10_error"))) {
@@ -265,7 +259,7 @@ fn write_csv(
         if batch.is_empty() {
             return Ok(writer.flush());
         }
-        let answers = field.answers(&batch)?;
+        let answers = field.answers(&batch);
         if let Err(error) = write_rows(&mut writer, &batch, &answers, with_errors) {
             return Ok(Err(error));
         }

@@ -70,7 +70,7 @@ impl RayQuery {
         let differentiation = settings.differentiation(model, field.lattice())?;
         let variances: Vec<&dyn DepthVariance> = posterior.iter().map(|p| p as _).collect();
         let depth = DepthProbe { differentiation, variances: &variances };
-        let view = render_rays(&tracer, &self.ray, &probes, Some(&depth))?;
+        let view = render_rays(&tracer, &self.ray, &probes, Some(&depth));
         let mut csv = csv::Writer::from_writer(out);
         let mut write = || -> csv::Result<()> {
             let mut head = vec!["x", "y", "z", "dx", "dy", "dz", "opacity", "median_depth", "expected_depth"];

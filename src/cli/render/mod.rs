@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use self::studio::{Cleaned, Studio};
 use super::files::CommandFiles;
-use super::opened::OpenedField;
+use super::opened::{baked, open_field};
 use super::options::{CameraOptions, Frames, ModelArgument, heading, parse_frames, parse_positive, parse_range};
 use super::progress::Bars;
 use super::streams::tell;
@@ -18,7 +18,7 @@ use crate::monitor::Monitor;
 use crate::picture::{is_own_sheet, write_sheet};
 use crate::render::{RayAverage, RenderedView};
 use crate::session::{OpenedModel, Threshold, image_settings, scaled};
-use crate::uncertainty::{Answers, UncertaintyField};
+use crate::uncertainty::{BakedField, UncertaintyField};
 use crate::{Error, Result};
 
 /// Default longer side of a picture, pixels. A photograph at its own size takes minutes.
@@ -118,37 +118,33 @@ impl Args {
             .cameras(self.cameras.cameras.as_deref())
             .outputs("--output", self.outputs());
         files.check()?;
-        let mut field = OpenedField::open(&self.field)?;
-        let opened = OpenedModel::of_field(field.facts(), &self.field, &self.model.model, self.force, &mut tell)?;
-        let settings = image_settings(field.facts());
-        if self.depth_error {
-            field = OpenedField::Whole(Box::new(field.whole()?));
-        }
+        let field = open_field(&self.field)?;
+        let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
+        let settings = image_settings(&field);
         let views = self.cameras.read(Some(&*opened.model), &opened.name)?;
         files.images(&views).check()?;
         // A frame that is not there is refused before any work.
         let wanted = self.frame.numbers();
         let frames: Vec<&Frame> = wanted.clone().map(|k| views.frame(k)).collect::<Result<_>>()?;
         if self.depth_error {
-            field.facts().depth_posterior()?;
+            field.depth_posterior()?;
         }
 
-        Reading::check(field.facts(), self.ray_average)?;
+        Reading::check(&field, self.ray_average)?;
         let cameras: Vec<Camera> = frames.iter().map(|frame| self.sized(&frame.camera)).collect::<Result<_>>()?;
         let pictures = if self.threshold.is_some() { 2 } else { 1 };
-        let baked = field.baked(pictures * cameras.iter().map(Camera::pixels).sum::<u64>());
-        let space: &dyn Answers = baked.as_ref().map_or(field.space(), |baked| baked);
-        let threshold = self.threshold.map(|threshold| threshold.log10(space, &mut tell)).transpose()?;
+        let baked = &baked(&field, pictures * cameras.iter().map(Camera::pixels).sum::<u64>());
+        let threshold = self.threshold.map(|threshold| threshold.log10(baked, &mut tell)).transpose()?;
         let model = &*opened.model;
-        if self.depth_error && !model.centers().is_empty() && field.facts().conformal().is_none() {
+        if self.depth_error && !model.centers().is_empty() && field.conformal().is_none() {
             announce!(
                 "note: deviations of depth are mostly the spread of the splats along a ray; `evaluate --calibrate` \
                  scales them on views of known depth"
             );
         }
-        let lattice = self.depth_error.then(|| field.facts().lattice());
+        let lattice = self.depth_error.then(|| field.lattice());
         let whole = model.for_images(&settings, lattice, bars)?;
-        let part = match threshold.map(|threshold| model.certain_part(space, threshold)).transpose()? {
+        let part = match threshold.map(|threshold| model.certain_part(baked, threshold)).transpose()? {
             Some(None) => {
                 return Err(Error::setting("--threshold", "a threshold that leaves a part of the model", "none left"));
             }
@@ -160,18 +156,17 @@ impl Args {
         let is_told = self.depth_error && self.is_exr() && !known.is_empty();
         let shown = left.as_deref().unwrap_or(&*whole);
         let training = is_told.then(|| TrainingViews::render(shown, &known, offset, bars)).transpose()?;
-        let cleaned = left.as_deref().zip(part.as_deref()).zip(threshold);
-        let cleaned = cleaned.map(|((left, part), threshold)| Cleaned { left, threshold, part });
+        let cleaned = left.as_deref().zip(threshold).map(|(left, threshold)| Cleaned { left, threshold });
         let studio = Studio {
-            field: field.facts(),
-            space,
+            field: &field,
+            baked,
             whole: &*whole,
             cleaned,
             offset,
             average: self.ray_average,
             depth_error: self.depth_error,
             training,
-            log10: bar_of(space, self.range)?,
+            log10: bar_of(baked, self.range),
             bars,
         };
         bars.begin("rows", cameras.iter().map(|camera| pictures * u64::from(camera.resolution[1])).sum());
@@ -224,7 +219,7 @@ impl Args {
     /// Writes the picture of one camera.
     fn picture(&self, studio: &Studio, k: usize, camera: &Camera, path: &Path) -> Result<()> {
         let write = |view: &RenderedView| {
-            let (log10, confirmed) = (studio.shown_log10(camera, view)?, studio.confirmed(camera, view));
+            let (log10, confirmed) = (studio.shown_log10(camera, view), studio.confirmed(camera, view));
             let colors = studio.color_spread(camera, view);
             write_exr(path, view.resolution, channels(view, &log10, confirmed.as_deref(), colors, studio.field))
         };
@@ -232,14 +227,14 @@ impl Args {
             // An EXR holds the cleaned view only; to count what the threshold removes takes both views.
             let view = studio.cleaned_view(camera)?.unwrap_or_default();
             if view.pixels.iter().all(|pixel| pixel.opacity <= 0.5) {
-                self.note_pixels(studio, &(studio.whole_view(camera)?, Some(view.clone())))?;
+                self.note_pixels(studio, &(studio.whole_view(camera)?, Some(view.clone())));
             }
             return write(&view);
         }
         let views = studio.views(camera)?;
-        self.note_pixels(studio, &views)?;
+        self.note_pixels(studio, &views);
         if !self.is_exr() {
-            return write_sheet(path, &studio.rows(&format!("frame {k}"), camera, &views)?);
+            return write_sheet(path, &studio.rows(&format!("frame {k}"), camera, &views));
         }
         let (view, cleaned) = views;
         write(&cleaned.unwrap_or(view))
@@ -248,10 +243,9 @@ impl Args {
 
 impl Args {
     /// Says on stderr if the clean-up takes many more of a view's pixels than it seems to.
-    fn note_pixels(&self, studio: &Studio, views: &(RenderedView, Option<RenderedView>)) -> Result<()> {
-        match (self.threshold, views) {
-            (Some(threshold), (view, Some(cleaned))) => threshold.note_pixels(view, cleaned, studio.space, &mut tell),
-            _ => Ok(()),
+    fn note_pixels(&self, studio: &Studio, views: &(RenderedView, Option<RenderedView>)) {
+        if let (Some(threshold), (view, Some(cleaned))) = (self.threshold, views) {
+            threshold.note_pixels(view, cleaned, studio.baked, &mut tell);
         }
     }
 
@@ -279,13 +273,12 @@ impl Args {
 
 /// Ends of the colour bar of log10 U: those given, or from the most certain percent of the visible
 /// surfaces to the prior.
-pub fn bar_of(field: &dyn Answers, range: Option<[f64; 2]>) -> Result<[f64; 2]> {
-    if let Some(range) = range {
-        return Ok(range);
-    }
-    let prior = field.record().reading().prior().log10();
-    let [low] = field.surface_quantiles([0.01])?.unwrap_or([-3.0]);
-    Ok([low.min(prior - 0.5), prior])
+pub fn bar_of(field: &BakedField, range: Option<[f64; 2]>) -> [f64; 2] {
+    range.unwrap_or_else(|| {
+        let prior = field.field().prior().log10();
+        let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
+        [low.min(prior - 0.5), prior]
+    })
 }
 
 /// The channels of the EXR, with `log10` of U, whether depths are confirmed, and how colours spread.

@@ -3,19 +3,18 @@
 use crate::Result;
 use crate::cli::panels::{Ranges, depth_range, error_range, view_panels};
 use crate::cli::progress::Bars;
-use crate::estimate::Model;
 use crate::evaluate::TrainingViews;
 use crate::geometry::Camera;
 use crate::picture::Panel;
 use crate::render::{Probe, RayAverage, RenderedView, Renderer};
-use crate::uncertainty::{Answers, UncertaintyField, shown_log10, unknowns};
+use crate::uncertainty::{BakedField, UncertaintyField, shown_log10, unknowns};
 
 /// What pictures are made of.
 pub struct Studio<'a> {
-    /// The uncertainty, or a part of it: what does not depend on the place.
+    /// The uncertainty.
     pub field: &'a UncertaintyField,
-    /// What does.
-    pub space: &'a dyn Answers,
+    /// The same, for answers at the points of pictures.
+    pub baked: &'a BakedField<'a>,
     /// The model.
     pub whole: &'a dyn Renderer,
     /// The model without what is uncertain.
@@ -41,13 +40,11 @@ pub struct Cleaned<'a> {
     pub left: &'a dyn Renderer,
     /// The largest log10 U that is left.
     pub threshold: f64,
-    /// The same as a model, which keeps the errors of the uncertainty.
-    pub part: &'a dyn Model,
 }
 
 impl Studio<'_> {
     fn view(&self, renderer: &dyn Renderer, camera: &Camera) -> Result<RenderedView> {
-        let probes = [Probe { field: self.space, averages: &[self.average] }];
+        let probes = [Probe { field: self.baked, averages: &[self.average] }];
         if !self.depth_error {
             return renderer.image(camera, self.offset, &probes, &[], self.bars);
         }
@@ -57,9 +54,7 @@ impl Studio<'_> {
 
     /// The view of a camera without what is uncertain, if that is wanted.
     pub fn cleaned_view(&self, camera: &Camera) -> Result<Option<RenderedView>> {
-        let Some(Cleaned { left, part, .. }) = self.cleaned else { return Ok(None) };
-        let view = self.view(left, camera)?;
-        part.check().map(|()| Some(view))
+        self.cleaned.map(|cleaned| self.view(cleaned.left, camera)).transpose()
     }
 
     /// The view of a camera.
@@ -74,9 +69,9 @@ impl Studio<'_> {
     }
 
     /// log10 U as pictures show it, `[height · width]`: NaN where there is nothing to say.
-    pub fn shown_log10(&self, camera: &Camera, view: &RenderedView) -> Result<Vec<f64>> {
-        let unknowns = unknowns(self.space, camera, self.offset, view)?;
-        Ok(shown_log10(view, &view.log10_uncertainty[0], &unknowns))
+    pub fn shown_log10(&self, camera: &Camera, view: &RenderedView) -> Vec<f64> {
+        let unknowns = unknowns(self.baked, camera, self.offset, view);
+        shown_log10(view, &view.log10_uncertainty[0], &unknowns)
     }
 
     /// Whether training cameras confirm the depth of each pixel, `[height · width]`; `None` if that is not to be told.
@@ -97,7 +92,7 @@ impl Studio<'_> {
         name: &str,
         camera: &Camera,
         (view, cleaned): &(RenderedView, Option<RenderedView>),
-    ) -> Result<Vec<Vec<Panel>>> {
+    ) -> Vec<Vec<Panel>> {
         let both = || [view].into_iter().chain(cleaned);
         let ranges = Ranges {
             depth: depth_range(both()),
@@ -107,14 +102,13 @@ impl Studio<'_> {
             prior: self.field.prior().log10(),
             quantity: self.field.record().scale.quantity(),
         };
-        let panels = |name: &str, view: &RenderedView| -> Result<Vec<Panel>> {
-            let unknowns = unknowns(self.space, camera, self.offset, view)?;
-            Ok(view_panels(view, name, ranges, &unknowns))
+        let panels = |name: &str, view: &RenderedView| {
+            view_panels(view, name, ranges, &unknowns(self.baked, camera, self.offset, view))
         };
-        let mut rows = vec![panels(name, view)?];
+        let mut rows = vec![panels(name, view)];
         if let (Some(cleaned), Some(Cleaned { threshold, .. })) = (cleaned, self.cleaned) {
-            rows.push(panels(&format!("log10 U ≤ {threshold:.3}"), cleaned)?);
+            rows.push(panels(&format!("log10 U ≤ {threshold:.3}"), cleaned));
         }
-        Ok(rows)
+        rows
     }
 }

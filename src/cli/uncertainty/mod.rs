@@ -10,7 +10,7 @@ use super::files::CommandFiles;
 use super::given::Given;
 use super::options::{
     CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelArgument, RayCount, check_field_name, count, heading,
-    parse_background, parse_bytes, parse_positive, parse_share, parse_tile,
+    parse_background, parse_bytes, parse_positive, parse_share,
 };
 use super::progress::Bars;
 use super::report;
@@ -19,7 +19,6 @@ use crate::Result;
 use crate::dataset::Part;
 use crate::estimate::{Checkpoint, Feature, Goal, GridSettings, RaySettings};
 use crate::evaluate::TrainingImages;
-use crate::octree::Tile;
 use crate::posterior::Criterion;
 use crate::rays::{Pixels, SamplesReader};
 use crate::render::{GradientMethod, Occupancy};
@@ -89,21 +88,6 @@ pub struct Args {
     )]
     refine: Vec<Criterion>,
 
-    /// Sum in part I of N of space only (I from 0; N = 2, 4, 8, ...), where the whole does not fit into memory; `merge`
-    /// joins the parts to the same field
-    ///
-    /// Space is cut so that all tiles have about as many vertices. Each tile needs all rays that reach it, so N tiles
-    /// take longer than one run, and a tile's file is as large as that of a shard.
-    #[arg(
-        long,
-        value_name = "I/N",
-        value_parser = parse_tile,
-        conflicts_with = "memory",
-        help_heading = heading::GRID,
-        hide_short_help = true,
-    )]
-    tile: Option<Tile>,
-
     #[command(flatten)]
     grid: GridOptions,
 
@@ -160,7 +144,7 @@ pub struct Args {
     /// contracted space, of the part that is not). The field also stores how much the colours of the
     /// images differ at each place, and `evaluate` and `render` show where they agree. U stays as it is. `merge` needs
     /// one field that was compared with images. Needs --scale data.
-    #[arg(long, value_name = "DIR", conflicts_with = "tile", help_heading = heading::STATISTICS)]
+    #[arg(long, value_name = "DIR", help_heading = heading::STATISTICS)]
     images: Option<PathBuf>,
 
     /// Also store the sampling error of log10 U, from this many independent groups of rays [without a number: 8]
@@ -333,7 +317,7 @@ impl Args {
 
     fn grid_settings(&self) -> GridSettings {
         let criteria = self.refine.iter().copied().collect();
-        GridSettings { memory: self.memory, criteria, tile: self.tile, ..self.grid.settings() }
+        GridSettings { memory: self.memory, criteria, ..self.grid.settings() }
     }
 
     /// Prints what the run will need.

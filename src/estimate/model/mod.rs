@@ -17,7 +17,7 @@ use crate::geometry::{Aabb, Camera, Domain, Lattice, NamedCamera};
 use crate::monitor::{Message, Monitor};
 use crate::render::Renderer;
 use crate::splats::Splats;
-use crate::uncertainty::Answers;
+use crate::uncertainty::BakedField;
 
 /// What not every model has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -174,16 +174,12 @@ pub trait Model: Send + Sync {
     /// The part of the model at which log10 U is at most `threshold` (the paper, Sec. 5.2); `None` if nothing is left.
     ///
     /// # Errors
-    /// If a part of the uncertainty cannot be read.
-    fn certain_part<'a>(&'a self, uncertainty: &'a dyn Answers, threshold: f64) -> Result<Option<Box<dyn Model + 'a>>>;
-
-    /// Whether all that was returned since the last call is true: a part of a model reads an uncertainty meanwhile.
-    ///
-    /// # Errors
-    /// If that failed.
-    fn check(&self) -> Result<()> {
-        Ok(())
-    }
+    /// If the part cannot be made.
+    fn certain_part<'a>(
+        &'a self,
+        uncertainty: &'a BakedField<'a>,
+        threshold: f64,
+    ) -> Result<Option<Box<dyn Model + 'a>>>;
 
     /// `[eyes]`: which cameras would stand in matter, whatever they look at. Samples of a march are `step` apart, or as
     /// the model suggests.

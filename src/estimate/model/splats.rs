@@ -11,7 +11,7 @@ use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::{Message, Monitor};
 use crate::render::Renderer;
 use crate::splats::{NEAR, SplatRenderer, Splats, seen_domain, share_too_near};
-use crate::uncertainty::{Answers, is_certain};
+use crate::uncertainty::{BakedField, is_certain};
 
 /// A share of splats that are too near to be drawn, above which they are no mere floaters.
 const MOST_TOO_NEAR: f64 = 0.02;
@@ -113,8 +113,12 @@ impl Model for Splats {
         Box::new(SplatRenderer::new(self, whole.background().as_vec3()))
     }
 
-    fn certain_part<'a>(&'a self, uncertainty: &'a dyn Answers, threshold: f64) -> Result<Option<Box<dyn Model + 'a>>> {
-        let kept = is_certain(self, uncertainty, threshold)?;
+    fn certain_part<'a>(
+        &'a self,
+        uncertainty: &'a BakedField<'a>,
+        threshold: f64,
+    ) -> Result<Option<Box<dyn Model + 'a>>> {
+        let kept = is_certain(self, uncertainty, threshold);
         if !kept.contains(&true) {
             return Ok(None);
         }

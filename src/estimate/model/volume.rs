@@ -11,7 +11,7 @@ use crate::field::{Intrinsics, RadianceField, TrainedField};
 use crate::geometry::{Aabb, Camera, Domain, Lattice, NamedCamera};
 use crate::monitor::Monitor;
 use crate::render::{INSIDE_MATTER_SAMPLES, Renderer, Tracer, VolumeRenderer};
-use crate::uncertainty::{Answers, ThresholdedField};
+use crate::uncertainty::{BakedField, ThresholdedField};
 
 impl<F: TrainedField> Model for F {
     fn kind(&self) -> &'static str {
@@ -80,12 +80,12 @@ impl<F: TrainedField> Model for F {
         Box::new(VolumeRenderer { tracer, differentiation: None })
     }
 
-    fn certain_part<'a>(&'a self, uncertainty: &'a dyn Answers, threshold: f64) -> Result<Option<Box<dyn Model + 'a>>> {
+    fn certain_part<'a>(
+        &'a self,
+        uncertainty: &'a BakedField<'a>,
+        threshold: f64,
+    ) -> Result<Option<Box<dyn Model + 'a>>> {
         Ok(Some(Box::new(ThresholdedField::new(self, uncertainty, threshold))))
-    }
-
-    fn check(&self) -> Result<()> {
-        TrainedField::check(self)
     }
 
     fn in_matter(&self, step: Option<f64>, eyes: &[DVec3]) -> Vec<bool> {

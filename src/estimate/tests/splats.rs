@@ -11,7 +11,7 @@ use crate::posterior::{Criteria, Criterion, VertexSums};
 use crate::rays::{Pixels, Purpose, RayStream, RunProgress, Shard};
 use crate::render::{GradientMethod, RaySamples};
 use crate::splats::{RenderMode, Splats, seen_domain};
-use crate::uncertainty::{Observability, UncertaintyField, is_certain, merge};
+use crate::uncertainty::{BakedField, Observability, UncertaintyField, is_certain, merge};
 
 /// A shell of splats of several colours, and one far away.
 fn shell() -> Splats {
@@ -261,12 +261,12 @@ fn splats_that_no_ray_reaches_were_never_seen_whatever_their_uncertainty() {
     assert!(back.iter().filter(|at| informed(at)).count() > 20, "U alone does not tell it");
     // The clean-up leaves none of them, below the prior.
     let prior = field.prior().log10();
-    let kept = is_certain(&splats, &field, prior - 1e-3).unwrap();
+    let kept = is_certain(&splats, &BakedField::unbaked(&field), prior - 1e-3);
     let is_unseen = |i: usize| {
         field.observability(splats.mean(i), field.query(splats.mean(i)).uncertainty) == Some(Observability::Unseen)
     };
     assert!((0..splats.len()).all(|i| !(kept[i] && is_unseen(i))));
-    assert!(is_certain(&splats, &field, prior).unwrap().iter().all(|kept| *kept));
+    assert!(is_certain(&splats, &BakedField::unbaked(&field), prior).iter().all(|kept| *kept));
 }
 
 #[test]

@@ -208,7 +208,7 @@ fn splats_are_cleaned_up_as_volumes_are() {
         readings: DepthReadings::default(),
     };
     // From below the least U to above the prior. The unit is that of a share of 0.
-    let cleaned = clean_up(&splats, &model, &field, &[truth], &[-5.0, 1.0], &Silent).unwrap();
+    let cleaned = clean_up(&splats, &model, &BakedField::unbaked(&field), &[truth], &[-5.0, 1.0], &Silent).unwrap();
     let [before, gone, kept] = [0, 1, 2].map(|k| &cleaned[k]);
     assert_eq!((before.0.psnr, kept.0.psnr), (f64::INFINITY, f64::INFINITY));
     assert!(gone.1[0].pixels.len() == n && gone.0.coverage == 0.0 && gone.0.psnr < 25.0, "{:?}", gone.0);
@@ -224,6 +224,7 @@ fn splats_are_cleaned_up_as_volumes_are() {
     let middle = log10.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(u, _)| *u).fold(f64::MIN, f64::max);
     let expected = splats.clone().keep(&kept).unwrap();
     let expected = SplatRenderer::new(&expected, Vec3::ONE).image(&camera, 0.5, &[], &[], &Silent).unwrap();
+    let field = BakedField::unbaked(&field);
     let left = splats.certain_part(&field, middle).unwrap().unwrap();
     let found = left.like(&model).image(&camera, 0.5, &[], &[], &Silent).unwrap();
     assert_eq!(found.pixels, expected.pixels);

@@ -16,7 +16,7 @@ use super::pilot_counts::{Counts, PilotCounts};
 use super::sparse::{BLOCK_BYTES, BRICK_BYTES, spare_bytes};
 use crate::geometry::Lattice;
 use crate::io::mix;
-use crate::octree::{Leaves, MaxLevels, Tile, Wanted, morton};
+use crate::octree::{Leaves, MaxLevels, Wanted, morton};
 use crate::posterior::Entries;
 use crate::render::RaySamples;
 
@@ -40,7 +40,7 @@ const VERTICES_PER_LEAF: f64 = 0.8;
 /// give Chao's lower bound V = d + f1 (f1 − 1) / (2 (f2 + 1)), and the run finds V (1 − exp(−t s / V)) of these. The
 /// larger number counts.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct SpeciesCounts {
+struct SpeciesCounts {
     counts: Counts,
     /// f1, f2, f3.
     few: [f64; 3],
@@ -53,7 +53,7 @@ impl SpeciesCounts {
     const MOST_THETA: f64 = 0.95;
     const LEAST_SHAPE: f64 = 0.02;
 
-    pub(super) fn add(mut self, rays: u32) -> Self {
+    fn add(mut self, rays: u32) -> Self {
         self.counts = self.counts.add(Counts::of(rays));
         if let Some(f) = self.few.get_mut((rays as usize).wrapping_sub(1)) {
             *f += 1.0;
@@ -62,7 +62,7 @@ impl SpeciesCounts {
     }
 
     /// Expected number of species in the run.
-    pub(super) fn expected(&self, s: f64) -> f64 {
+    fn expected(&self, s: f64) -> f64 {
         if self.counts.distinct == 0.0 {
             return 0.0;
         }
@@ -201,12 +201,6 @@ impl SpeciesEstimate {
         }
     }
 
-    /// The finest level.
-    #[must_use]
-    pub fn level(&self) -> u8 {
-        self.lattice.level()
-    }
-
     /// Largest number of vertices that a batch of rays touched.
     #[must_use]
     pub fn longest_batch(&self) -> usize {
@@ -265,29 +259,25 @@ impl SpeciesEstimate {
         PilotCounts::new(self.lattice.level(), each)
     }
 
-    /// What `scale` times the pilot's rays need on the leaves of `limits`, in a tile or everywhere.
+    /// What `scale` times the pilot's rays need on the leaves of `limits`.
     ///
     /// # Panics
     /// If there are limits, and the census was made for runs without.
     #[must_use]
-    pub fn needs(&self, scale: f64, limits: &MaxLevels, tile: Option<Tile>) -> Needs {
-        let (finest, region) = (limits.finest(), limits.region_level());
-        let knows_coarser = self.vertices.len() > usize::from(finest - region);
+    pub fn needs(&self, scale: f64, limits: &MaxLevels) -> Needs {
+        let region = limits.region_level();
+        let knows_coarser = self.vertices.len() > usize::from(limits.finest() - region);
         assert!(limits.is_unlimited() || knows_coarser, "a census for runs without limits");
         let last = self.lattice.cells_per_axis() - 1;
-        let is_owned = |point| tile.is_none_or(|tile| tile.owns(finest, point));
         let on_limit = |coarseness: u8, code: u64| {
             let vertex = morton::decode(code).map(|i| (i << coarseness).min(last));
-            is_on_limit(limits, coarseness, vertex) && is_owned(vertex)
+            is_on_limit(limits, coarseness, vertex)
         };
         let bricks = (0..).zip(&self.bricks);
         let bricks = bricks.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code << 3)));
         let touched = (0..).zip(&self.vertices);
         let touched = touched.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code)));
-        let is_split = |level: u8, code: u64| {
-            let is_on_limit = level < region || level < limits.level(code >> (3 * (level - region)));
-            is_on_limit && is_owned(morton::decode(code << (3 * (finest - level))))
-        };
+        let is_split = |level: u8, code: u64| level < region || level < limits.level(code >> (3 * (level - region)));
         let split = (0..).zip(&self.split).map(|(level, sample)| {
             // A cell is split or it is not: all of them is the most there can be.
             let most = f64::from(3 * u32::from(level)).exp2();
@@ -295,20 +285,6 @@ impl SpeciesEstimate {
         });
         let leaves = 1.0 + 7.0 * split.sum::<f64>();
         Needs { sums: touched.sum(), bricks: bricks.sum(), vertices: VERTICES_PER_LEAF * leaves }
-    }
-
-    /// The vertices of the sample on the leaves of `limits`, by coarseness: lattice points with their numbers of rays,
-    /// and how many vertices each of them stands for.
-    pub(super) fn sampled(&self, limits: &MaxLevels) -> impl Iterator<Item = (Vec<([u32; 3], u32)>, f64)> {
-        let last = self.lattice.cells_per_axis() - 1;
-        (0..).zip(&self.vertices).map(move |(coarseness, sample)| {
-            let points = sample.rays.iter().map(|(&code, &rays)| {
-                let point = morton::decode(code).map(|i| i << coarseness);
-                (point, rays)
-            });
-            let on_limit = points.filter(|(point, _)| is_on_limit(limits, coarseness, point.map(|i| i.min(last))));
-            (on_limit.collect(), f64::from(sample.zeros).exp2())
-        })
     }
 
     /// Bytes on the heap.

@@ -141,11 +141,6 @@ impl<T> Contributions<T> {
         self.0[key.partition()].push(Contribution { key, square });
     }
 
-    /// Keeps the contributions to some vertices.
-    pub fn retain(&mut self, condition: impl Fn(VertexKey) -> bool) {
-        self.0.iter_mut().for_each(|list| list.retain(|contribution| condition(contribution.key)));
-    }
-
     /// All of them, partition by partition.
     pub fn iter(&self) -> impl Iterator<Item = &Contribution<T>> {
         self.0.iter().flatten()

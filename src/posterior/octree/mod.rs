@@ -15,7 +15,6 @@
 //! therefore receives its contributions in ray order, whatever the number of threads.
 
 mod census;
-mod cuts;
 mod key;
 mod pages;
 mod pilot_counts;
@@ -41,7 +40,7 @@ use walk::LeafWalk;
 use super::sums::DiagonalSums;
 use super::{Entries, Posterior, Sums, VertexSums};
 use crate::geometry::Lattice;
-use crate::octree::{Leaves, MaxLevels, Octree, Tile, coarseness};
+use crate::octree::{Leaves, MaxLevels, Octree, coarseness};
 use crate::render::RaySamples;
 
 /// Lists of contributions that each thread has at once.
@@ -62,8 +61,6 @@ pub fn list_bytes(entries: Entries, longest: usize) -> usize {
 pub struct OctreePosterior<S: Sums = VertexSums> {
     lattice: Lattice,
     limits: MaxLevels,
-    /// The part of space whose vertices have sums; `None` for all of it.
-    tile: Option<Tile>,
     sums: SparseSums<S>,
 }
 
@@ -80,27 +77,14 @@ impl OctreePosterior {
     /// If the limits belong to another level.
     #[must_use]
     pub fn limited(lattice: Lattice, limits: MaxLevels) -> Self {
-        Self::with(lattice, limits, None)
+        Self::with(lattice, limits)
     }
 }
 
 impl<S: Sums> OctreePosterior<S> {
-    fn with(lattice: Lattice, limits: MaxLevels, tile: Option<Tile>) -> Self {
+    fn with(lattice: Lattice, limits: MaxLevels) -> Self {
         assert_eq!(limits.finest(), lattice.level(), "limits belong to the lattice's level");
-        Self { lattice, limits, tile, sums: SparseSums::new() }
-    }
-
-    /// The same posterior, which from now on sums at the vertices of a tile only. These get what they would get without
-    /// a tile, bit for bit.
-    #[must_use]
-    pub fn owning(self, tile: Option<Tile>) -> Self {
-        Self { tile, ..self }
-    }
-
-    /// The part of space whose vertices have sums; `None` for all of it.
-    #[must_use]
-    pub fn tile(&self) -> Option<Tile> {
-        self.tile
+        Self { lattice, limits, sums: SparseSums::new() }
     }
 
     /// The maximal level of leaves, by region.
@@ -171,10 +155,6 @@ impl<S: Sums> OctreePosterior<S> {
                 walk.ray::<S>(batch, samples, all);
             }
         }
-        if let Some(tile) = self.tile {
-            let finest = self.lattice.level();
-            all.retain(|key| tile.owns(finest, key.point()));
-        }
     }
 }
 
@@ -190,8 +170,8 @@ impl<S: Sums> Posterior for OctreePosterior<S> {
     type Sums = S;
     type Vertices = Octree;
 
-    fn empty(lattice: Lattice, limits: &MaxLevels, tile: Option<Tile>) -> Self {
-        Self::with(lattice, limits.clone(), tile)
+    fn empty(lattice: Lattice, limits: &MaxLevels) -> Self {
+        Self::with(lattice, limits.clone())
     }
 
     fn add(&mut self, batches: &[RaySamples]) {
@@ -238,12 +218,12 @@ impl<S: Sums> Posterior for OctreePosterior<S> {
     }
 
     /// `None` if a key lies outside the lattice, is not that of a vertex on the leaves of `limits`, or occurs twice.
-    fn restore(lattice: Lattice, limits: &MaxLevels, tile: Option<Tile>, keys: &[u64], sums: Vec<S>) -> Option<Self> {
+    fn restore(lattice: Lattice, limits: &MaxLevels, keys: &[u64], sums: Vec<S>) -> Option<Self> {
         if keys.len() != sums.len() {
             return None;
         }
         let sums = SparseSums::restore(lattice.cells_per_axis(), keys, sums)?;
-        let restored = Self { sums, ..Self::empty(lattice, limits, tile) };
+        let restored = Self { sums, ..Self::empty(lattice, limits) };
         let is_found = |&key: &u64| {
             let key = VertexKey::from_bits(key);
             u64::from(restored.coarseness(key.point())) == key.coarseness()

@@ -125,7 +125,7 @@ impl<S: Sums> OctreePosterior<S> {
                 let beside = self.moved_by_pooling(&moved);
                 self.wanted_around(moved.par_iter().copied().chain(beside))
             }
-            Some(floor) => self.wanted(floor),
+            Some(floor) => self.wanted_around(self.moved(floor)),
         };
         for &cell in &refinement.wanted {
             let (origin, _) = cell.extent(finest);
@@ -162,12 +162,6 @@ impl<S: Sums> OctreePosterior<S> {
                 points.into_iter().zip(sums).collect()
             },
         )
-    }
-
-    /// The leaves around every vertex with more information than `floor`.
-    #[must_use]
-    pub fn wanted(&self, floor: f64) -> Wanted {
-        self.wanted_around(self.moved(floor))
     }
 
     /// The vertices with more information than `floor`, block by block.

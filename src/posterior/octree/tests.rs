@@ -255,15 +255,15 @@ proptest! {
     }
 }
 
-/// Sums of both parts of some rays, in a tile or everywhere: the first are what a checkpoint of them restores.
-fn sums_of_parts<S: Sums>(parts: &[RaySamples; 2], limits: &MaxLevels, tile: Option<Tile>) -> [OctreePosterior<S>; 2] {
+/// Sums of both parts of some rays: the first are what a checkpoint of them restores.
+fn sums_of_parts<S: Sums>(parts: &[RaySamples; 2], limits: &MaxLevels) -> [OctreePosterior<S>; 2] {
     let [first, second] = parts.each_ref().map(|part| {
-        let mut posterior = OctreePosterior::<S>::empty(lattice(limits.finest()), limits, tile);
+        let mut posterior = OctreePosterior::<S>::empty(lattice(limits.finest()), limits);
         posterior.add(std::slice::from_ref(part));
         posterior
     });
     let saved = first.slices().flatten().copied().collect();
-    let restored = OctreePosterior::restore(first.lattice, limits, tile, &first.keys(), saved);
+    let restored = OctreePosterior::restore(first.lattice, limits, &first.keys(), saved);
     [restored.unwrap(), second]
 }
 
@@ -277,17 +277,15 @@ proptest! {
     fn a_diagonal_alone_has_the_bits_of_all_sums(
         samples in ray_samples(),
         wanted in prop_oneof![Just(Vec::new()), proptest::collection::vec((0_u64..8, 1_u8..=5), 1..5)],
-        is_tile: bool,
         cut in 0_usize..20,
     ) {
         let limits = if wanted.is_empty() { MaxLevels::none(5) } else { MaxLevels::balanced(5, wanted) };
-        let tile = Tile::new(1, 2).filter(|_| is_tile);
         let mut parts = [RaySamples::default(), RaySamples::default()];
         for (n, (ray, range)) in samples.iter().enumerate() {
             range.for_each(|i| parts[usize::from(n >= cut)].push(ray, samples.sample(i)));
         }
-        let mut whole = sums_of_parts::<VertexSums>(&parts, &limits, tile);
-        let mut diagonal = sums_of_parts::<DiagonalSums>(&parts, &limits, tile);
+        let mut whole = sums_of_parts::<VertexSums>(&parts, &limits);
+        let mut diagonal = sums_of_parts::<DiagonalSums>(&parts, &limits);
 
         let sorted = |pairs: Vec<(VertexSums, VertexSums)>| {
             let mut pairs: Vec<_> = pairs.iter().map(|(a, b)| (bits(a), bits(b))).collect();

@@ -71,7 +71,7 @@ impl Renderer for SplatRenderer<'_> {
             let rows = first..height.min(first + ROWS);
             let at = |x: u32, y: u32| [x, y].map(|i| f64::from(i * stride) + pixel_offset);
             let points: Vec<[f64; 2]> = rows.clone().flat_map(|y| (0..width).map(move |x| at(x, y))).collect();
-            let part = view.points(&points, probes, variances)?;
+            let part = view.points(&points, probes, variances);
             monitor.advance(u64::from(rows.end - rows.start));
             Ok(part)
         };
@@ -83,7 +83,7 @@ impl Renderer for SplatRenderer<'_> {
         Self::check_cameras(views.iter().map(|(camera, _)| camera))?;
         let of_view = |(camera, points): &(Camera, Vec<[f64; 2]>)| {
             check(monitor)?;
-            self.prepare(camera, Outputs::Colors).points(points, &[], &[])
+            Ok(self.prepare(camera, Outputs::Colors).points(points, &[], &[]))
         };
         let parts = views.iter().map(of_view).collect::<Result<Vec<RenderedView>>>()?;
         let points: usize = parts.iter().map(|part| part.pixels.len()).sum();
@@ -143,7 +143,7 @@ impl SplatView<'_> {
     }
 
     /// Renders single image points, as an image of one row.
-    fn points(&self, points: &[[f64; 2]], probes: &[Probe], variances: &[&dyn DepthVariance]) -> Result<RenderedView> {
+    fn points(&self, points: &[[f64; 2]], probes: &[Probe], variances: &[&dyn DepthVariance]) -> RenderedView {
         let rays: Vec<Ray> = points.iter().map(|&[x, y]| self.camera.ray(x, y)).collect();
         let mut quadrature = CompositingWeights::default();
         let (mut positions, mut colors, mut t) = (Vec::<Vec3>::new(), Vec::<Vec3>::new(), Vec::<f64>::new());

@@ -13,7 +13,6 @@ mod ray_sets;
 mod residuals;
 mod sums;
 mod surface;
-mod tile;
 
 use serde_json::{Map, Value};
 
@@ -24,7 +23,7 @@ pub use self::residuals::{ResidualSums, Residuals};
 use super::file::Source;
 use crate::Result;
 use crate::io::container::Section;
-use crate::octree::{MaxLevels, Tile};
+use crate::octree::MaxLevels;
 use crate::posterior::{RayCoverage, VertexSums};
 use crate::rays::RaySet;
 
@@ -162,8 +161,6 @@ macro_rules! layers {
 }
 
 layers! {
-    /// The part of space whose vertices have sums, if not all. Elsewhere nothing is known.
-    tile: Tile,
     /// The rays that were summed, if known; never empty.
     ray_sets: Vec<RaySet>,
     /// `[vertices]`: sums over the rays, if kept, from which other covariances can be computed.

@@ -125,8 +125,8 @@ impl Layer for Residuals {
 
     fn read(head: Value, file: &mut Source) -> Result<Self> {
         let head: Head = file.head(Self::NAME, head)?;
-        if file.layers.tile.is_some() || file.record.scale == Scale::Paper {
-            let expected = "none in a tile, or where depths have no deviations";
+        if file.record.scale == Scale::Paper {
+            let expected = "none where depths have no deviations";
             return Err(file.malformed("header, residuals", expected, "one"));
         }
         let sections = (file.section("residual points")?, file.section("residuals")?);
@@ -198,7 +198,7 @@ impl UncertaintyField {
     /// The same field with what training left unexplained, without a calibrated interval: that was of other deviations.
     ///
     /// # Errors
-    /// If the field is not in the scale of its data, is a tile, or is on another lattice than that of the residuals.
+    /// If the field is not in the scale of its data, or is on another lattice than that of the residuals.
     pub fn with_residuals(mut self, residuals: Residuals) -> Result<Self> {
         let wrong = |expected: &str, found: &str| Err(Error::setting("residuals", expected, found));
         let Scale::Data(_) = self.record.scale else {
@@ -206,9 +206,6 @@ impl UncertaintyField {
         };
         if *residuals.squares.lattice() != self.lattice.coarsened(Residuals::LEVEL) {
             return wrong("residuals on the field's lattice", "another");
-        }
-        if self.layers.tile.is_some() {
-            return wrong("a field of all of space", "a tile");
         }
         self.layers.drop_dependent(Change::Residuals);
         self.layers.residuals = Some(residuals);

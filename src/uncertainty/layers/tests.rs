@@ -5,7 +5,6 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::geometry::{Aabb, Lattice};
-use crate::octree::Tile;
 use crate::posterior::{Covariance, DataScale, OctreePosterior, Posterior, Scale};
 use crate::rays::Shard;
 use crate::uncertainty::tests::{on_own_octree, record, samples};
@@ -25,17 +24,14 @@ fn color_spread(lattice: &Lattice) -> ColorSpread {
     sums.finish().unwrap()
 }
 
-/// A field of the rays of a shard with all layers, of which residuals and tile exclude each other, as do limits and a
-/// dense grid.
-fn field(seed: u64, shard: Shard, is_dense: bool, is_tile: bool) -> UncertaintyField {
+/// A field of the rays of a shard with all layers, of which limits and a dense grid exclude each other.
+fn field(seed: u64, shard: Shard, is_dense: bool) -> UncertaintyField {
     let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
     let data = DataScale::new(1000, 0.02, 0.05).unwrap();
     let (seed, shard) = (Some(seed), Some(shard));
     let plain = record(&lattice, Covariance::Diagonal, 3072);
     let record = RunRecord { scale: Scale::Data(data), lambda: data.lambda(), seed, shard, ..plain };
-    let tile = Tile::new(5, 8).filter(|_| is_tile);
-    let mut posterior =
-        OctreePosterior::limited(lattice, MaxLevels::balanced(6, [(0, 4), (3, 3), (5, 5)])).owning(tile);
+    let mut posterior = OctreePosterior::limited(lattice, MaxLevels::balanced(6, [(0, 4), (3, 3), (5, 5)]));
     posterior.add(&[samples(1.0)]);
     let mut field = on_own_octree(record, lattice, posterior);
     if is_dense {
@@ -51,12 +47,12 @@ fn field(seed: u64, shard: Shard, is_dense: bool, is_tile: bool) -> UncertaintyF
         .with_surface(vec![[0.25, -0.5, 0.125], [0.5; 3]])
         .with_ray_coverage(RayCoverage::from_counts(&lattice, counts))
         .with_conformal(Conformal { probability: 0.9, factor: 1.5, pixels: 100, views: 2 });
-    field.layers.residuals = tile.is_none().then(|| residuals(&lattice));
+    field.layers.residuals = Some(residuals(&lattice));
     field.with_color_spread(color_spread(&lattice)).unwrap()
 }
 
 pub(in crate::uncertainty) fn whole() -> UncertaintyField {
-    field(0, Shard::whole(3072), false, false)
+    field(0, Shard::whole(3072), false)
 }
 
 #[test]
@@ -81,27 +77,18 @@ fn changes_drop_the_layers_that_depend_on_them_and_no_others() {
             &["sums", "error bars", "interval"],
         ),
     ];
-    for is_tile in [false, true] {
-        let before = field(0, Shard::whole(3072), false, is_tile);
-        let lacks = if is_tile { "residuals" } else { "tile" };
-        assert_eq!(before.layers.names(), NAMES.into_iter().filter(|name| *name != lacks).collect::<Vec<_>>());
-        for (change, apply, dropped) in &changes {
-            if is_tile && ["residuals", "what queries need"].contains(change) {
-                continue;
-            }
-            let mut expected = before.layers.clone();
-            dropped.iter().for_each(|name| expected.remove(name));
-            assert!(apply(before.clone()).layers == expected, "{change}: {:?}", apply(before.clone()).layers.names());
-        }
+    let before = whole();
+    assert_eq!(before.layers.names(), NAMES);
+    for (change, apply, dropped) in &changes {
+        let mut expected = before.layers.clone();
+        dropped.iter().for_each(|name| expected.remove(name));
+        assert!(apply(before.clone()).layers == expected, "{change}: {:?}", apply(before.clone()).layers.names());
     }
-    // A tile is of no use without its sums.
-    let tile = field(0, Shard::whole(3072), false, true);
-    assert_eq!(tile.clone().for_queries(), tile);
 }
 
 #[test]
 fn merging_adds_what_adds_up_and_drops_the_rest() {
-    let parts = [0, 1].map(|seed| field(seed, Shard::whole(3072), false, false));
+    let parts = [0, 1].map(|seed| field(seed, Shard::whole(3072), false));
     let merged = merge(&parts).unwrap();
     let kept = ["ray sets", "sums", "surface points", "ray coverage", "limits", "residuals", "color spread"];
     assert_eq!(merged.layers.names(), kept);
@@ -151,12 +138,11 @@ proptest! {
     fn files_keep_any_layers(
         kept in any::<[bool; NAMES.len()]>(),
         is_part: bool,
-        is_tile: bool,
         is_dense: bool,
         checksum: Option<u32>,
     ) {
         let shard = Shard::new(3072, 0, if is_part { 2 } else { 1 });
-        let mut field = field(3, shard, is_dense && !is_tile, is_tile);
+        let mut field = field(3, shard, is_dense);
         field.record.model_checksum = checksum;
         NAMES.iter().zip(kept).filter(|(_, kept)| !kept).for_each(|(name, _)| field.layers.remove(name));
         // Only parts keep exact counts; these are small enough to be exact in any case.

@@ -22,9 +22,6 @@ pub fn check(heads: &[Head]) -> Result<()> {
 
 /// Whether two parts may count the same rays at the same vertices.
 fn may_share_rays(a: &Head, b: &Head) -> bool {
-    if a.tile != b.tile {
-        return false;
-    }
     if a.ray_sets.is_empty() || b.ray_sets.is_empty() {
         // The ray sets of samples files are unknown; only their origin can be compared.
         let [a, b] = [&a.record, &b.record];
@@ -62,11 +59,9 @@ fn check_alike(first: &Head, part: &Head) -> Result<()> {
     let list = |numbers: Option<String>| numbers.unwrap_or("unknown".into());
     let settings = |head: &Head| {
         let p = &head.record;
-        let tiles = head.tile.map_or("all of space".into(), |tile| format!("one of {} tiles", tile.of));
         [
             ("box and level", format!("{}, level {}", head.lattice.domain(), head.lattice.level())),
             ("grid", if head.is_dense { "dense" } else { "octree" }.to_string()),
-            ("part of space", tiles),
             ("lambda", p.lambda.to_string()),
             (
                 "scale",

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 
 use crate::Result;
 use crate::geometry::Lattice;
-use crate::octree::Tile;
 use crate::rays::RaySet;
 use crate::uncertainty::{RunRecord, Support, UncertaintyField};
 
@@ -17,10 +16,7 @@ pub struct Head {
     pub record: RunRecord,
     pub lattice: Lattice,
     pub ray_sets: Vec<RaySet>,
-    pub tile: Option<Tile>,
     pub is_dense: bool,
-    /// Whether it can be merged, and not only queried.
-    pub has_sums: bool,
     pub has_error_bars: bool,
 }
 
@@ -39,9 +35,7 @@ impl Part for UncertaintyField {
             record: self.record.clone(),
             lattice: self.lattice,
             ray_sets: self.ray_sets().to_vec(),
-            tile: self.tile(),
             is_dense: matches!(self.support, Support::Dense),
-            has_sums: self.sums().is_some(),
             has_error_bars: self.error_bars().is_some(),
         })
     }

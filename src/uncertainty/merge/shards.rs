@@ -8,7 +8,7 @@ use crate::uncertainty::layers::Layers;
 use crate::uncertainty::{RunRecord, Support, UncertaintyField};
 use crate::{Error, Result};
 
-/// Adds the parts of these numbers, one after the other. They are of one tile, if of any.
+/// Adds the parts of these numbers, one after the other.
 pub fn add(parts: &[impl Part], heads: &[Head], order: &[usize]) -> Result<UncertaintyField> {
     let of: Vec<&Head> = order.iter().map(|&i| &heads[i]).collect();
     let ray_sets = ray_sets(&of);
@@ -25,7 +25,7 @@ pub fn add(parts: &[impl Part], heads: &[Head], order: &[usize]) -> Result<Uncer
         })?;
         match &mut layers {
             None => {
-                posterior = OctreePosterior::limited(first.lattice, part.limits()).owning(first.tile);
+                posterior = OctreePosterior::limited(first.lattice, part.limits());
                 layers = Some(part.layers.to_merge());
             }
             Some(layers) if layers.limits != part.layers.limits => {
@@ -65,7 +65,7 @@ pub fn add(parts: &[impl Part], heads: &[Head], order: &[usize]) -> Result<Uncer
 }
 
 /// The rays of all parts; unknown if those of one part are.
-pub fn ray_sets(of: &[&Head]) -> Vec<RaySet> {
+fn ray_sets(of: &[&Head]) -> Vec<RaySet> {
     if of.iter().any(|head| head.ray_sets.is_empty()) {
         return Vec::new();
     }
@@ -91,8 +91,7 @@ pub fn sums_at(whole: &UncertaintyField, part: &UncertaintyField) -> Vec<VertexS
 /// whole run lacks may have lost what was negligible for the rays of that run. Every vertex considered here
 /// belongs to some part, whose sums are complete there.
 fn floor(of: &[&Head], ray_sets: &[RaySet]) -> f64 {
-    // What is negligible in a tile may still be a vertex because of a neighbour's leaves.
-    if of[0].tile.is_some() || ray_sets.iter().any(RaySet::is_part) {
+    if ray_sets.iter().any(RaySet::is_part) {
         return Refinement::EVERYTHING;
     }
     let of_shards = of.iter().flat_map(|head| &head.ray_sets).filter(|ray_set| ray_set.is_part());
@@ -103,7 +102,7 @@ fn floor(of: &[&Head], ray_sets: &[RaySet]) -> f64 {
 }
 
 /// The record of the joined run of these sets. It is a whole run again if all its shards are present.
-pub fn record(of: &[&Head], ray_sets: &[RaySet]) -> RunRecord {
+fn record(of: &[&Head], ray_sets: &[RaySet]) -> RunRecord {
     let records = || of.iter().map(|head| &head.record);
     let first = &of[0].record;
     let one_seed = first.seed.filter(|_| records().all(|p| p.seed == first.seed));

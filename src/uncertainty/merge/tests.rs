@@ -11,7 +11,6 @@ use rand::{Rng, RngExt, SeedableRng};
 
 use super::*;
 use crate::geometry::{Aabb, Lattice};
-use crate::octree::VertexId;
 use crate::posterior::{
     Covariance, DataScale, DensePosterior, OctreePosterior, RayCoverage, Scale, negligible_information,
 };
@@ -32,7 +31,7 @@ fn lattice() -> Lattice {
 }
 
 /// A part of a run with arbitrary sums; the points of all parts are few, so that they have many in common.
-fn part(seed: u64, shard: Shard, tile: Option<Tile>, is_dense: bool, random: &mut impl Rng) -> Made {
+fn part(seed: u64, shard: Shard, is_dense: bool, random: &mut impl Rng) -> Made {
     let lattice = lattice();
     let data = DataScale::new(1000, 0.02, 0.05).unwrap();
     let rays = shard.own_rays();
@@ -51,23 +50,21 @@ fn part(seed: u64, shard: Shard, tile: Option<Tile>, is_dense: bool, random: &mu
         let point = [0; 3].map(|_| 5 * random.random_range(0..=3) + random.random_range(0..=1));
         let [a, b, c] = [0; 3].map(|_| f64::from(random.random_range(1..20)));
         let own = VertexSums::new([a * a, a * b, a * c, b * b, b * c, c * c], random.random_range(1..9));
-        if tile.is_none_or(|tile| tile.owns(LEVEL, point)) {
-            sums.insert(point, own);
-        }
+        sums.insert(point, own);
     }
     let field = if is_dense {
         let mut all = DensePosterior::new(lattice).into_sums();
         sums.iter().for_each(|(point, own)| all[lattice.dense_index(*point)] = *own);
         UncertaintyField::new(record, lattice, Support::Dense, all)
     } else {
-        let mut posterior = OctreePosterior::new(lattice).owning(tile);
+        let mut posterior = OctreePosterior::new(lattice);
         sums.iter().for_each(|(point, own)| posterior.add_sums_at(*point, own));
         on_own_octree(record, lattice, posterior)
     };
     let surface = (0..random.random_range(0..6)).map(|_| [random.random_range(-1.0..1.0); 3]).collect();
     let cells = 1 << (3 * LEVEL);
     let counts = (0..cells).map(|_| random.random_range(0..1000)).collect();
-    let ray_coverage = RayCoverage::from_counts(&lattice, counts).map(|ray_coverage| ray_coverage.within(tile, LEVEL));
+    let ray_coverage = RayCoverage::from_counts(&lattice, counts);
     Made { field: field.with_surface(surface).with_ray_coverage(ray_coverage), sums }
 }
 
@@ -125,7 +122,7 @@ proptest! {
         prop_assume!(parts > 1);
         let all_rays = 512 * 6 * of;
         let ray_sets = (0..seeds).flat_map(|seed| (0..of).map(move |index| (seed, Shard::new(all_rays, index, of))));
-        let mut parts: Vec<Made> = ray_sets.map(|(seed, shard)| part(seed, shard, None, is_dense, random)).collect();
+        let mut parts: Vec<Made> = ray_sets.map(|(seed, shard)| part(seed, shard, is_dense, random)).collect();
         let expected_coverage = coverage_of(&parts);
         let n = parts.len();
         if let Some(i) = without_coverage {
@@ -166,83 +163,6 @@ proptest! {
             prop_assert_eq!(anew.rays(), merged.rays(), "{}", name);
         }
     }
-
-    #[test]
-    fn tiles_in_shards_have_together_what_they_have(choice: u64, of in 1_u64..4, bits in 1_u32..4, nests: bool) {
-        let random = &mut ChaCha8Rng::seed_from_u64(choice);
-        let all_rays = 512 * 6 * of;
-        let mut boxes = vec![([0; 3], [1 << LEVEL; 3])];
-        for _ in 0..bits {
-            // Cut anywhere, but not into nothing: every box has an edge of two cells or more.
-            let halves = boxes.into_iter().flat_map(|(low, high): ([u32; 3], [u32; 3])| {
-                let axis = (0..3).max_by_key(|&axis| high[axis] - low[axis]).unwrap_or(0);
-                let (mut middle, mut start) = (high, low);
-                start[axis] = random.random_range(low[axis] + 1..high[axis]);
-                middle[axis] = start[axis];
-                [(low, middle), (start, high)]
-            });
-            boxes = halves.collect();
-        }
-        let tiles = (0..).zip(boxes).map(|(index, (low, high))| Tile::new(index, 1 << bits).unwrap().within(low, high));
-        let tiles: Vec<Tile> = tiles.collect();
-        let shards: Vec<Shard> = (0..of).map(|index| Shard::new(all_rays, index, of)).collect();
-        let parts: Vec<Vec<Made>> = tiles
-            .iter()
-            .map(|tile| shards.iter().map(|&shard| part(0, shard, Some(*tile), false, random)).collect())
-            .collect();
-        let of_tile = |parts: &Vec<Made>| parts.iter().map(|part| part.field.clone()).collect::<Vec<_>>();
-        let mut fields: Vec<UncertaintyField> = if nests && of > 1 {
-            parts.iter().map(|parts| nested(of_tile(parts), random)).collect()
-        } else {
-            parts.iter().flat_map(of_tile).collect()
-        };
-        fields.shuffle(random);
-        let joined = merge(&fields).unwrap();
-        // Rays that reach several tiles may be dropped in each.
-        let dropped = |parts: &Vec<Made>| parts.iter().map(|part| part.field.record().dropped).sum::<u64>();
-        prop_assert_eq!(joined.record().dropped, parts.iter().map(dropped).max().unwrap());
-        prop_assert_eq!(joined.record().rays, all_rays);
-        let expected = added(parts.iter().flatten());
-        let Support::Octree(octree) = joined.support() else { panic!("an octree") };
-        for (v, point) in octree.vertex_positions().enumerate() {
-            let own = expected.get(&point).copied().unwrap_or_default();
-            let deviation = joined.record().reading().deviation(&own);
-            prop_assert_eq!(joined.deviations().get(v), f64::from(deviation as f32), "{:?}", point);
-            prop_assert_eq!(joined.rays().get(v), rounded(own.rays), "{:?}", point);
-        }
-        for point in expected.keys() {
-            prop_assert!(octree.vertex(*point).is_some_and(|VertexId(v)| v < octree.vertex_count() as u32));
-        }
-        let all: Vec<Made> = parts.into_iter().flatten().collect();
-        prop_assert_eq!(joined.ray_coverage().unwrap().counts(), &coverage_of(&all)[..]);
-    }
-}
-
-/// A count as a field keeps it.
-fn rounded(rays: u32) -> u64 {
-    [rays].into_iter().collect::<crate::uncertainty::RayCounts>().get(0)
-}
-
-#[test]
-fn tiles_of_other_cuts_are_named() {
-    let random = &mut ChaCha8Rng::seed_from_u64(4);
-    let [lower, upper] = [0, 1].map(|index| Tile::new(index, 2).unwrap());
-    let whole = Shard::whole(512 * 6);
-    let mut field = |seed, tile| part(seed, whole, Some(tile), false, random).field;
-    let cut = |tile: Tile, plane: u32| match tile.index {
-        0 => tile.within([0; 3], [plane, 16, 16]),
-        _ => tile.within([plane, 0, 0], [16; 3]),
-    };
-    let message = |parts: &[UncertaintyField]| merge(parts).unwrap_err().to_string();
-    let seeds = [field(0, cut(lower, 5)), field(1, cut(lower, 6)), field(0, cut(upper, 5))];
-    let found = message(&seeds);
-    assert!(found.contains("two boxes of tile 0/2: in field 1 and in field 2"), "{found}");
-    for (a, b) in [(cut(lower, 5), cut(upper, 6)), (cut(lower, 6), cut(upper, 5)), (lower, cut(upper, 8))] {
-        let found = message(&[field(0, a), field(0, b)]);
-        assert!(found.contains("overlap or leave gaps"), "{found}");
-    }
-    assert!(merge(&[field(0, cut(upper, 5)), field(0, cut(lower, 5))]).is_ok());
-    assert!(merge(&[field(0, lower), field(0, upper)]).is_ok());
 }
 
 /// What was left out of the octree of a run was negligible for its rays: no more may be left out for those of all.
@@ -275,7 +195,7 @@ fn one_part_of_unknown_rays_makes_all_unknown() {
     let random = &mut ChaCha8Rng::seed_from_u64(5);
     for unknown in 0..3 {
         let mut fields: Vec<UncertaintyField> =
-            (0..3).map(|seed| part(seed, Shard::whole(3072), None, false, random).field).collect();
+            (0..3).map(|seed| part(seed, Shard::whole(3072), false, random).field).collect();
         for (i, field) in fields.iter_mut().enumerate() {
             // As if other programs had drawn the rays: only then do sources distinguish parts.
             (field.record.march_step, field.record.source) = (None, i.to_string());
@@ -291,7 +211,7 @@ fn error_bars_of_merged_parts_do_not_depend_on_their_order() {
     let random = &mut ChaCha8Rng::seed_from_u64(3);
     // Runs of different lengths: if rays and sums of different parts were paired, bars would be others.
     let lengths = [512 * 6, 512 * 9, 512 * 30];
-    let parts: Vec<Made> = (0..3).map(|i| part(7 - i, Shard::whole(lengths[i as usize]), None, true, random)).collect();
+    let parts: Vec<Made> = (0..3).map(|i| part(7 - i, Shard::whole(lengths[i as usize]), true, random)).collect();
     let fields: Vec<UncertaintyField> = parts.iter().map(|part| part.field.clone()).collect();
     let merged = merge_with_error_bars(&fields).unwrap();
     let groups: Vec<Vec<VertexSums>> = fields.iter().map(|field| field.sums().unwrap().to_vec()).collect();

@@ -114,6 +114,17 @@ fn numbers_that_no_run_has_are_refused_by_name() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// Elsewhere than in its part of space it would answer as if nothing had been seen.
+#[test]
+fn a_tile_of_an_earlier_version_is_no_field() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.oct");
+    whole().write(&path).unwrap();
+    forge(&path, |header, _| header["content"]["layers"]["tile"] = json!({ "index": 1, "of": 8 }));
+    let said = UncertaintyField::read(&path).unwrap_err().to_string();
+    assert!(said.contains("layer `tile`"), "{said}");
+}
+
 /// Gives a record a number.
 type Set = fn(&mut RunRecord, f64);
 
