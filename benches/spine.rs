@@ -116,7 +116,7 @@ fn build(c: &mut Criterion) {
         };
         let finish = |builder: FieldBuilder| {
             let progress = RunProgress { rays: RAYS, ..RunProgress::default() };
-            builder.finish(&FieldSource { source: name.into(), progress, ..FieldSource::default() })
+            builder.finish(&FieldSource { source: name.into(), progress, ..FieldSource::default() }).unwrap()
         };
         group.bench_function(name, |b| b.iter_batched(make, finish, criterion::BatchSize::PerIteration));
     }

@@ -77,7 +77,7 @@ fn of_seed(scene: &Scene, settings: GridSettings, seed: u64) -> Result<Vec<Row>>
         settings.criteria(criteria.iter().copied().collect()).tolerance(*tolerance).ray_count(*ray_count)
     };
     let (limited, free): (Vec<GridSettings>, Vec<GridSettings>) =
-        RULES.iter().map(grid).partition(GridSettings::needs_plan);
+        RULES.iter().map(grid).partition(GridSettings::is_limited);
     let dense = settings.grid(GridKind::Dense);
     let all: Vec<GridSettings> = [dense].into_iter().chain(free).collect();
     let mut fields = scene.estimation(rays, dense).prepare()?.finish_on(&all)?.into_iter().map(|outcome| outcome.field);

@@ -93,7 +93,6 @@
 //! - The dense reference ([`posterior::DensePosterior`]) shares no accumulation code with the octree: each checks
 //!   the other.
 //! - Results do not depend on the number of threads, bit for bit. Rays are drawn by index and summed in ray order.
-//!   (With a budget of memory, threads take a part of it: then the leaves that fit may depend on them.)
 //! - Files are untrusted. Nothing is allocated by a length from a file before it is compared with the bytes
 //!   present.
 //! - No generic scalar. Fields compute in f32, because they are trained in it. Geometry and sums are f64, because

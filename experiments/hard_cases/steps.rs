@@ -281,7 +281,7 @@ fn field_of(
     let mut builder = FieldBuilder::new(grid, domain)?;
     builder.add(&[batch]);
     let progress = RunProgress { rays, ..RunProgress::default() };
-    Ok(builder.finish(&FieldSource { source: "steps".into(), progress, ..FieldSource::default() }))
+    builder.finish(&FieldSource { source: "steps".into(), progress, ..FieldSource::default() })
 }
 
 /// Mean |Δ log10 U| over the vertices that moved by more than half a decade.

@@ -179,7 +179,7 @@ fn allocated(scene: &Scene, rays: &RaySettings, grid: &GridSettings, power: f64)
     let progress = RunProgress { rays: total, ..RunProgress::default() };
     let source = FieldSource { progress, stream: Some(&stream), ..FieldSource::default() };
     // The time would mislead: it is mostly that of building masks, which only this experiment needs.
-    Ok(Run { field: builder.finish(&source).without_sums(), seconds: 0.0, samples })
+    Ok(Run { field: builder.finish(&source)?.without_sums(), seconds: 0.0, samples })
 }
 
 /// Multiplies JᵀJ of each ray.

@@ -243,6 +243,7 @@ def uncertainty(
     keep_sums: bool | None = None,
     contract: Any = None,
     memory: int | None = None,
+    scratch: str | os.PathLike[str] | None = None,
     refine: str | Sequence[str] = DEFAULT.refine,
     grid: str = DEFAULT.grid,
     lambda_: float | None = None,
@@ -302,13 +303,14 @@ def uncertainty(
     ('all': every training pixel once); target_error (decades: draw rays until the mean error of log10 U is within it,
     at most ``rays``); gradient ('finite-difference': central; 'forward-difference': four points a sample, not seven;
     'analytic': the model's own derivatives; 'auto': these if it has any); covariance ('diagonal', 'block', 'trace');
-    refine ('sensitivity', 'density', 'ray-count', or several); memory in bytes; step in edges of the finest lattice;
-    error_bars (number of groups); audit (measure what skipped samples and the derivatives cost, for
-    :attr:`Uncertainty.report`); shard (a part of the rays, which :func:`merge` joins); checkpoint (a file: the state is
-    saved every minute, and a run with the same arguments goes on from there unless ``restart``); scale
-    ('paper', or 'data': a standard deviation in scene units, which needs the noise that training left, as ``noise``,
-    10^(-PSNR/20), or recorded in the model, and cameras of the size that the model was trained at). ``lambda_`` is
-    ``--lambda``.
+    refine ('sensitivity', 'density', 'ray-count', or several); memory in bytes (sums that do not fit go to files
+    without names in the folder ``scratch``, by default the system's for such files, which may be memory; with a
+    checkpoint they lie beside it); step in edges of the finest lattice; error_bars (number of groups); audit (measure
+    what skipped samples and the derivatives cost, for :attr:`Uncertainty.report`); shard (a part of the rays, which
+    :func:`merge` joins); checkpoint (a file: the state is saved every minute, and a run with the same arguments goes on
+    from there unless ``restart``); scale ('paper', or 'data': a standard deviation in scene units, which needs the
+    noise that training left, as ``noise``, 10^(-PSNR/20), or recorded in the model, and cameras of the size that the
+    model was trained at). ``lambda_`` is ``--lambda``.
 
     images: the training images; their photometric residual is added to deviations of depth (``scale='data'``). The
     folder from which the cameras' names start, or a list of files, one per camera.
@@ -397,6 +399,7 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
         "shard": _part("shard", given.shard),
         "checkpoint": None if given.checkpoint is None else as_path("checkpoint", given.checkpoint),
         "restart": given.restart,
+        "scratch": None if given.scratch is None else as_path("scratch", given.scratch),
         "dump_samples": None if given.dump_samples is None else as_path("dump_samples", given.dump_samples),
         "source": f"{nerf._model.source if isinstance(nerf, Opened) else _source(nerf)} seen by {cameras.source}",
         "dry_run": is_dry,

@@ -117,6 +117,7 @@ pub fn uncertainty(
         .choices(options.choices()?)
         .goal(goal)
         .checkpoint(checkpoint.map(|path| Checkpoint::new(path).restart(restart)))
+        .scratch(options.get("scratch")?)
         .images(images)
         .dump(options.get("dump_samples")?)
         .audit(options.or("audit", false)?)

@@ -192,7 +192,6 @@ def test_what_splats_do_not_have_is_refused(splats, field, path, held_out, court
         "audit": True,
         "march_step": 0.1,
         "occupancy": 32,
-        "memory": 2**30,
         "target_error": 0.1,
         "refine": "density",
         "images": str(path.parent),

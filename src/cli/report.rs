@@ -145,6 +145,9 @@ pub fn plan(plan: &Plan, level: u8) {
         memory(plan.peak()),
         memory(plan.file)
     );
+    if plan.disk > 0.0 {
+        announce!("      {} of sums on disk during the run", memory(plan.disk));
+    }
     given_up(plan).into_iter().for_each(|text| announce!("{text}"));
 }
 
@@ -180,7 +183,7 @@ pub fn errors(budget: &ErrorBudget) -> String {
     let leaves = match (budget.coarse_leaves, budget.is_limited) {
         (0.0, false) => "none".into(),
         (bound, false) => format!("at most {bound:.1e}, certain"),
-        (bound, true) => format!("at most {bound:.1e}, and what leaves limited by memory or rays add"),
+        (bound, true) => format!("at most {bound:.1e}, and what leaves limited by rays add"),
     };
     line("coarse leaves", &leaves);
     let rays = match &budget.rays {
@@ -227,11 +230,12 @@ pub fn finished(finished: &Finished, as_json: bool) -> Result<()> {
     if as_json {
         return say!("{}", finished.report());
     }
-    let Finished { field, errors: budget, sums_bytes, elapsed, .. } = finished;
+    let Finished { field, errors: budget, sums_bytes, disk_bytes, elapsed, .. } = finished;
     // What is read first stands first: the record is for those who come back.
     say!("{}field\n  {}", surfaces(field), summary(&field.summary()))?;
     let peak = peak().map_or(String::new(), |peak| format!(", {} the peak of the process", bytes(peak as usize)));
-    say!("  {} while summing{peak}, {:.1} s", bytes(*sums_bytes), elapsed.as_secs_f64())?;
+    let disk = if *disk_bytes > 0 { format!(", {} on disk", bytes(*disk_bytes as usize)) } else { String::new() };
+    say!("  {} while summing{disk}{peak}, {:.1} s", bytes(*sums_bytes), elapsed.as_secs_f64())?;
     say!("{}", errors(budget))?;
     say!("record\n{}\n  threads      {}", record(field), rayon::current_num_threads())
 }

@@ -5,7 +5,8 @@ use std::ops::AddAssign;
 use std::path::Path;
 
 use super::checkpoint::{self, RunKey, State};
-use super::{GridKind, GridSettings, Plan, Summed};
+use super::overflow::{self, Overflow};
+use super::{GridKind, GridSettings, Plan};
 use crate::geometry::{Domain, Lattice};
 use crate::octree::{Cell, MaxLevels, Octree, morton};
 use crate::posterior::{DensePosterior, OctreePosterior, Posterior, RayCoverage, Refinement, Sums, VertexSums};
@@ -48,17 +49,23 @@ fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
 /// Sums from which a field can be computed.
 pub(super) trait Finish: Posterior + Clone {
     /// The field at these vertices of the sums, made of a copy of them or straight from them.
-    fn field(self, record: RunRecord, lattice: Lattice, at: Self::Vertices, gathers_sums: bool) -> UncertaintyField;
+    fn field(
+        self,
+        record: RunRecord,
+        lattice: Lattice,
+        at: Self::Vertices,
+        gathers_sums: bool,
+    ) -> Result<UncertaintyField>;
 }
 
 impl Finish for DensePosterior {
-    fn field(self, record: RunRecord, lattice: Lattice, (): (), _gathers_sums: bool) -> UncertaintyField {
-        UncertaintyField::new(record, lattice, Support::Dense, self.into_sums())
+    fn field(self, record: RunRecord, lattice: Lattice, (): (), _gathers_sums: bool) -> Result<UncertaintyField> {
+        Ok(UncertaintyField::new(record, lattice, Support::Dense, self.into_sums()))
     }
 }
 
 impl<S: Sums> Finish for OctreePosterior<S> {
-    fn field(self, record: RunRecord, lattice: Lattice, at: Octree, gathers_sums: bool) -> UncertaintyField {
+    fn field(self, record: RunRecord, lattice: Lattice, at: Octree, gathers_sums: bool) -> Result<UncertaintyField> {
         UncertaintyField::on_octree(record, lattice, self, at, gathers_sums)
     }
 }
@@ -77,6 +84,10 @@ pub(super) struct Builder<P> {
     surface: Vec<[f32; 3]>,
     /// Rays seen passing; `None` if it is not known where they passed.
     ray_coverage: Option<RayCoverage>,
+    /// Where sums go that exceed the budget, if there is one.
+    overflow: Option<Overflow>,
+    /// Largest size of the sums in memory when any left it, bytes.
+    most_memory: usize,
 }
 
 impl<P: Finish> Builder<P> {
@@ -90,16 +101,36 @@ impl<P: Finish> Builder<P> {
         let posterior = P::empty(lattice, &limits);
         let wanted = if settings.criteria.uniform { every_cell(&lattice)? } else { Vec::new() };
         let rays_per_vertex = plan.map_or(0.0, |plan| plan.rays_per_vertex);
-        let (surface, ray_coverage) = (Vec::new(), None);
-        Ok(Self { settings, lattice, limits, rays_per_vertex, wanted, posterior, surface, ray_coverage })
+        Ok(Self {
+            settings,
+            lattice,
+            limits,
+            rays_per_vertex,
+            wanted,
+            posterior,
+            surface: Vec::new(),
+            ray_coverage: None,
+            overflow: None,
+            most_memory: 0,
+        })
     }
 
-    /// Starts over on the leaves of `plan`.
-    pub fn limit(&mut self, plan: &Plan) {
-        (self.limits, self.rays_per_vertex) = (plan.limits.clone(), plan.rays_per_vertex);
-        self.posterior = P::empty(self.lattice, &self.limits);
-        self.surface.clear();
-        self.ray_coverage = None;
+    /// The same builder, whose sums leave memory where they exceed a budget.
+    pub fn with_overflow(self, overflow: Option<Overflow>) -> Self {
+        Self { overflow, ..self }
+    }
+
+    /// Writes the last sums to a run, if others left memory: a field is made of all sums in memory, or of runs.
+    ///
+    /// # Errors
+    /// If the run cannot be written.
+    pub fn spill_rest(&mut self) -> Result<()> {
+        self.overflow.as_ref().map_or(Ok(()), |overflow| overflow.spill_rest(&mut self.posterior))
+    }
+
+    /// Size of the sums that left memory, bytes.
+    pub fn disk_bytes(&self) -> u64 {
+        self.posterior.runs().iter().map(|run| run.bytes()).sum()
     }
 
     /// Adds refinement where there is density, if the settings ask for it.
@@ -145,9 +176,33 @@ impl<P: Finish> Builder<P> {
         &self.lattice
     }
 
+    /// Adds rays, and writes sums to runs whenever they have no room left. Returns whether they had none.
+    ///
+    /// # Errors
+    /// If a run cannot be written.
+    pub fn add_within_budget(&mut self, batches: &[RaySamples]) -> Result<bool> {
+        let Some(overflow) = &self.overflow else {
+            self.add(batches);
+            return Ok(false);
+        };
+        let mut has_spilled = false;
+        for some in overflow::portions(batches) {
+            self.posterior.add(some);
+            self.most_memory = self.most_memory.max(self.posterior.memory());
+            has_spilled |= overflow.spill_if_full(&mut self.posterior)?;
+        }
+        self.add_beside(batches);
+        Ok(has_spilled)
+    }
+
     /// Adds rays.
     pub fn add(&mut self, batches: &[RaySamples]) {
         self.posterior.add(batches);
+        self.add_beside(batches);
+    }
+
+    /// Adds what a field has beside its sums.
+    fn add_beside(&mut self, batches: &[RaySamples]) {
         if batches.iter().any(|batch| !batch.sight.is_empty()) {
             self.ray_coverage.get_or_insert_with(|| RayCoverage::new(&self.lattice)).add(batches);
         }
@@ -201,20 +256,15 @@ impl<P: Finish> Builder<P> {
     /// # Errors
     /// If the file is not the complete state of a run with the same description.
     pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<RunProgress> {
-        let State { posterior, progress, surface, ray_coverage } = checkpoint::load(path, key, &self.limits)?;
+        let State { posterior, progress, surface, ray_coverage } =
+            checkpoint::load(path, key, &self.limits, self.overflow.as_ref())?;
         (self.posterior, self.surface, self.ray_coverage) = (posterior, surface, ray_coverage);
         Ok(progress)
     }
 
-    /// Current size of the sums, bytes.
+    /// Largest size of the sums in memory so far, bytes.
     pub fn memory(&self) -> usize {
-        self.posterior.memory()
-    }
-
-    /// The same, apart from what is taken and not used.
-    pub fn summed(&self) -> Summed {
-        let spare = self.posterior.spare();
-        Summed { used: self.memory() - spare, spare, vertices: None }
+        self.most_memory.max(self.posterior.memory())
     }
 
     /// The settings.
@@ -231,7 +281,7 @@ impl<P: Finish> Builder<P> {
     fn emptied(&self) -> Self {
         let posterior = P::empty(self.lattice, &self.limits);
         let (limits, wanted) = (self.limits.clone(), self.wanted.clone());
-        Self { limits, wanted, posterior, surface: Vec::new(), ray_coverage: None, ..*self }
+        Self { limits, wanted, posterior, surface: Vec::new(), ray_coverage: None, overflow: None, ..*self }
     }
 
     /// How the rays so far were drawn and summed.
@@ -264,8 +314,8 @@ impl<P: Finish> Builder<P> {
         }
     }
 
-    /// The vertices of the field that the rays so far would give, and how many they are.
-    pub fn vertices(&mut self, source: &FieldSource) -> (P::Vertices, usize) {
+    /// The vertices of the field of the rays so far.
+    fn vertices(&mut self, source: &FieldSource) -> Result<P::Vertices> {
         let reading = self.record(source).reading();
         // Of a part of a run, no vertex is negligible: the others may add to it.
         let is_part = source.shard.is_some_and(|shard| shard.of > 1);
@@ -273,27 +323,29 @@ impl<P: Finish> Builder<P> {
         // There may be gigabytes of wanted cells.
         let wanted = std::mem::take(&mut self.wanted);
         let refinement = Refinement::above(floor, &reading, self.settings.criteria, wanted);
-        let vertices = self.posterior.vertices(&refinement);
+        let vertices = self.posterior.vertices(&refinement)?;
         self.wanted = refinement.wanted;
-        let count = self.posterior.count(&vertices);
-        (vertices, count)
+        Ok(vertices)
     }
 
     /// Computes the field from the rays so far.
-    pub fn finish(mut self, source: &FieldSource) -> UncertaintyField {
-        let (vertices, _) = self.vertices(source);
+    ///
+    /// # Errors
+    /// If sums that left memory cannot be read.
+    pub fn finish(mut self, source: &FieldSource) -> Result<UncertaintyField> {
+        let vertices = self.vertices(source)?;
         self.finish_at(vertices, source)
     }
 
     /// [`Builder::finish`] at the [vertices](Builder::vertices) that were found for it.
-    pub fn finish_at(self, vertices: P::Vertices, source: &FieldSource) -> UncertaintyField {
+    fn finish_at(self, vertices: P::Vertices, source: &FieldSource) -> Result<UncertaintyField> {
         let record = self.record(source);
         let Self { settings, lattice, posterior, surface, ray_coverage, wanted, .. } = self;
         drop(wanted);
         let gathers_sums = settings.gathers_sums(record.is_part());
-        let field = posterior.field(record, lattice, vertices, gathers_sums);
+        let field = posterior.field(record, lattice, vertices, gathers_sums)?;
         let field = if settings.keep_sums { field } else { field.for_queries() };
-        field.with_surface(surface).with_ray_coverage(ray_coverage)
+        Ok(field.with_surface(surface).with_ray_coverage(ray_coverage))
     }
 
     /// Computes the field of all groups of rays, whose disagreement gives error bars.
@@ -314,10 +366,10 @@ impl<P: Finish> Builder<P> {
         if let Some(stream) = source.stream {
             whole.want_density(stream)?;
         }
-        let (vertices, _) = whole.vertices(source);
-        let sums: Vec<_> = groups.into_iter().map(|group| group.posterior.gathered(&vertices)).collect();
+        let vertices = whole.vertices(source)?;
+        let sums = groups.into_iter().map(|group| group.posterior.gathered(&vertices)).collect::<Result<Vec<_>>>()?;
         let rays: Vec<u64> = progress.iter().map(|p| p.rays).collect();
-        Ok(whole.finish_at(vertices, source).with_error_bars(&sums, &rays).with_ray_sets(ray_sets))
+        Ok(whole.finish_at(vertices, source)?.with_error_bars(&sums, &rays).with_ray_sets(ray_sets))
     }
 }
 

@@ -3,7 +3,8 @@
 //!
 //! A container file with the sections `run` (the run and its progress, in bincode: only this program reads it), `keys`
 //! (u64, of vertices; empty for a dense grid), `sums` ([`Posterior::Sums`], one per key, or per lattice point of a
-//! dense grid), `surface` and `ray_coverage`. Sums are kept bit for bit, and the run continues after the last counted
+//! dense grid), `surface` and `ray_coverage`. Sums that left memory are in files beside it, `FILE.run0`, `FILE.run1`, …,
+//! which `run` names by their checksums. Sums are kept bit for bit, and the run continues after the last counted
 //! ray. A resumed run therefore ends with the bits of an uninterrupted one. A run accepts only a state with its own
 //! description.
 
@@ -14,6 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::SURFACE_POINTS;
 use super::builder::{Builder, Finish};
+use super::overflow::{self, Overflow, remove_others};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::MaxLevels;
@@ -50,7 +52,7 @@ impl Checkpoint {
         Self { every, ..self }
     }
 
-    /// Starts over: a state that is there is not read, whatever run it is of, and replaced when there is another.
+    /// Starts over: a state that is there is not read, whatever run it is of, but removed.
     #[must_use]
     pub fn restart(self, restart: bool) -> Self {
         Self { restart, ..self }
@@ -96,8 +98,8 @@ impl Checkpoint {
         self.files(groups).iter().filter_map(|file| progress(file).ok()).map(|progress| progress.rays).sum()
     }
 
-    /// Removes the files of a run whose result, this field, is saved. A file that another run has put there meanwhile
-    /// stays.
+    /// Removes the files of a run whose result, this field, is saved, and their runs of sums. A file that another run
+    /// has put there meanwhile stays.
     ///
     /// # Errors
     /// If a file exists and cannot be removed.
@@ -105,7 +107,10 @@ impl Checkpoint {
         let files = self.files(groups);
         let is_own = |file: &&PathBuf| Head::read(file).is_ok_and(|(head, _)| head.key.is_of(field));
         let mut own = files.iter().filter(is_own);
-        own.try_for_each(|file| std::fs::remove_file(file).map_err(Error::io(file, "cannot remove")))
+        own.try_for_each(|file| {
+            std::fs::remove_file(file).map_err(Error::io(file, "cannot remove"))?;
+            remove_others(file, &[])
+        })
     }
 }
 
@@ -126,7 +131,17 @@ impl<'a> Saver<'a> {
     pub fn restore(&self, builder: &mut Builder<impl Finish>, key: &RunKey) -> Result<RunProgress> {
         match self.file.filter(|file| self.checkpoint.is_some_and(|checkpoint| checkpoint.has(file))) {
             Some(file) => builder.restore(file, key),
-            None => Ok(RunProgress::default()),
+            None => {
+                // What a run left that was killed before it saved its state, or while its files were removed. The state
+                // that a restart discards goes first, since it names runs.
+                if let Some(file) = self.file {
+                    if file.exists() {
+                        std::fs::remove_file(file).map_err(Error::io(file, "cannot remove"))?;
+                    }
+                    remove_others(file, &[])?;
+                }
+                Ok(RunProgress::default())
+            }
         }
     }
 
@@ -223,6 +238,8 @@ struct Head {
     progress: RunProgress,
     /// [`Posterior::NAME`].
     grid: [String; 2],
+    /// Numbers and checksums of the runs that hold sums, the oldest first.
+    runs: Vec<[u32; 2]>,
 }
 
 impl Head {
@@ -274,7 +291,8 @@ pub(super) fn save<P: Posterior>(
     surface: &[[f32; 3]],
     ray_coverage: Option<&RayCoverage>,
 ) -> Result<()> {
-    let head = Head { key: key.clone(), progress, grid: P::NAME.map(String::from) };
+    let runs = overflow::names(posterior);
+    let head = Head { key: key.clone(), progress, grid: P::NAME.map(String::from), runs: runs.clone() };
     let head = bincode::serde::encode_to_vec(head, bincode::config::standard())
         .map_err(|e| Error::malformed(path, "section `run`", "an encodable description", e.to_string()))?;
     let (keys, ray_coverage) = (posterior.keys(), ray_coverage.map_or(&[][..], RayCoverage::counts));
@@ -285,16 +303,9 @@ pub(super) fn save<P: Posterior>(
         ("surface", &surface),
         ("ray_coverage", &ray_coverage),
     ];
-    container::write(path, FORMAT, &(), &sections)
-}
-
-/// The number of rays per vertex to which the saved run was limited. A memory budget may have increased it during
-/// the run.
-///
-/// # Errors
-/// If the file is missing or damaged.
-pub(super) fn rays_per_vertex(path: &Path) -> Result<f64> {
-    Head::read(path).map(|(head, _)| head.key.rays_per_vertex)
+    container::write(path, FORMAT, &(), &sections)?;
+    // The state before this one may have named others.
+    remove_others(path, &runs)
 }
 
 /// The progress of the saved run.
@@ -309,7 +320,12 @@ fn progress(path: &Path) -> Result<RunProgress> {
 ///
 /// # Errors
 /// If the file is missing, truncated, altered, or belongs to a run with another description.
-pub(super) fn load<P: Posterior>(path: &Path, key: &RunKey, limits: &MaxLevels) -> Result<State<P>> {
+pub(super) fn load<P: Posterior>(
+    path: &Path,
+    key: &RunKey,
+    limits: &MaxLevels,
+    overflow: Option<&Overflow>,
+) -> Result<State<P>> {
     let (head, mut file) = Head::read(path)?;
     if let Some((what, expected, found)) = first_difference(key, &head.key) {
         let found = format!("{found}, of another run (a restart discards it)");
@@ -319,18 +335,24 @@ pub(super) fn load<P: Posterior>(path: &Path, key: &RunKey, limits: &MaxLevels) 
         let found = format!("{}, of another run (a restart discards it)", head.grid[k]);
         return Err(Error::malformed(path, ["run, grid", "run, what is summed"][k], P::NAME[k], found));
     }
+    if !head.runs.is_empty() && overflow.is_none() {
+        let found = "none, and a checkpoint with sums on disk (a restart discards it)";
+        return Err(Error::setting("memory budget", "one, as before", found));
+    }
     let keys = file.section::<u64>("keys")?;
     let posterior = P::restore(key.lattice, limits, &keys, file.section::<P::Sums>("sums")?);
     let is_valid = |posterior: &P| posterior.slices().flatten().all(|sums| sums.widened().is_valid());
     let posterior = posterior.filter(|posterior| is_valid(posterior) && key.shard.admits(&head.progress));
-    let posterior = posterior.ok_or_else(|| {
-        Error::malformed(
-            path,
-            "section `sums`",
-            "the sums of an unfinished run",
-            "keys, counts or sums that no such run gives",
-        )
-    })?;
+    let other = |place: &str| {
+        let found = "keys, counts or sums that no such run gives";
+        Error::malformed(path, place, "the sums of an unfinished run", found)
+    };
+    let mut posterior = posterior.ok_or_else(|| other("section `sums`"))?;
+    for (&name, overflow) in head.runs.iter().flat_map(|name| overflow.map(|overflow| (name, overflow))) {
+        if !posterior.add_run(overflow.reopen(name)?)? {
+            return Err(other(&format!("run of sums {}", name[0])));
+        }
+    }
     let surface = file.section::<[f32; 3]>("surface")?;
     if surface.len() > SURFACE_POINTS || !surface.iter().flatten().all(|v| v.is_finite()) {
         let found = format!("{} points", surface.len());

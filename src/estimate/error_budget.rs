@@ -54,7 +54,7 @@ impl ErrorBudget {
             GridKind::Octree => grid.pooling.largest_change(grid.tolerance),
             GridKind::Dense => 0.0,
         };
-        Self { coarse_leaves, is_limited: grid.needs_plan(), rays: None, audit: None, step: None }
+        Self { coarse_leaves, is_limited: grid.is_limited(), rays: None, audit: None, step: None }
     }
 }
 

@@ -1,5 +1,7 @@
 //! The settings of a run.
 
+use std::path::PathBuf;
+
 use super::{Checkpoint, Feature, GridSettings, Model, RaySettings, require};
 use crate::geometry::{Camera, Domain, Lattice, Mask};
 use crate::monitor::{Monitor, Silent};
@@ -59,7 +61,7 @@ pub(super) type Tap<'a> = Box<dyn FnMut(&[RaySamples]) -> Result<()> + 'a>;
 /// A run from a trained field and its training cameras to an uncertainty field.
 ///
 /// Only field and cameras are required; everything else has the command line's defaults. The result does
-/// not depend on the number of threads, unless a budget of memory does.
+/// not depend on the number of threads.
 ///
 /// ```
 /// use octobayes::estimate::{Checkpoint, Estimation, GridSettings, RaySettings};
@@ -98,6 +100,8 @@ pub struct Estimation<'a> {
     pub(super) picture: u64,
     pub(super) monitor: &'a dyn Monitor,
     pub(super) tap: Option<Tap<'a>>,
+    /// The folder of sums that a budget of memory has no room for.
+    pub(super) scratch: PathBuf,
 }
 
 impl<'a> Estimation<'a> {
@@ -120,6 +124,7 @@ impl<'a> Estimation<'a> {
             picture: 0,
             monitor: &Silent,
             tap: None,
+            scratch: std::env::temp_dir(),
         }
     }
 
@@ -172,6 +177,12 @@ impl<'a> Estimation<'a> {
         Self { checkpoint: Some(checkpoint), ..self }
     }
 
+    /// Sets the folder of temporary files for sums that a [budget](GridSettings::memory) has no room for. The default is
+    /// the system's folder of such files, which may be memory itself. With a checkpoint, they lie beside that.
+    pub fn scratch(self, folder: impl Into<PathBuf>) -> Self {
+        Self { scratch: folder.into(), ..self }
+    }
+
     /// Sets a human-readable name of model and cameras for the result. The default is the field's description.
     pub fn source(self, source: impl Into<String>) -> Self {
         Self { source: source.into(), ..self }
@@ -183,8 +194,8 @@ impl<'a> Estimation<'a> {
         Self { checksum: Some(checksum), ..self }
     }
 
-    /// Sets the bytes that decoding a picture takes before the first ray, one picture at a time. A plan foresees them,
-    /// if they fit into its budget.
+    /// Sets the bytes that decoding a picture takes before the first ray, one picture at a time. A plan foresees
+    /// them.
     pub fn picture(self, bytes: u64) -> Self {
         Self { picture: bytes, ..self }
     }
@@ -224,7 +235,6 @@ impl<'a> Estimation<'a> {
         }
         for (is_set, feature, what) in [
             (matches!(self.goal, Goal::MeanError(_)), Feature::AnyOrder, "run to a mean error"),
-            (self.grid.memory.is_some(), Feature::AnyOrder, "memory budget"),
             (self.grid.criteria.density, Feature::Density, "criterion `density`"),
             (self.grid.pooling.is_on(), Feature::Pooling, "pooling"),
         ] {
@@ -244,13 +254,9 @@ impl<'a> Estimation<'a> {
         if self.goal != Goal::default() && self.tap.is_some() {
             return Err(Error::setting("samples as they are drawn", "a run of all rays in one group", "another"));
         }
-        if self.tap.is_some() && (self.grid.memory.is_some() || self.checkpoint.is_some()) {
-            // A run that restarts or resumes would pass on rays twice or not at all.
-            return Err(Error::setting(
-                "samples as they are drawn",
-                "no memory budget and no checkpoint",
-                "one of them",
-            ));
+        if self.tap.is_some() && self.checkpoint.is_some() {
+            // A run that resumes would pass on rays twice or not at all.
+            return Err(Error::setting("samples as they are drawn", "no checkpoint", "one"));
         }
         match self.goal {
             Goal::Groups(_) | Goal::MeanError(_) if self.rays.pixels == Pixels::Every => {
@@ -260,9 +266,12 @@ impl<'a> Estimation<'a> {
             Goal::Groups(_) if self.grid.memory.is_some() => {
                 Err(Error::setting("error bars", "no memory budget, which is for one set of sums", "a budget"))
             }
-            Goal::MeanError(_) if self.grid.needs_plan() => {
+            Goal::MeanError(_) if self.grid.is_limited() => {
                 let expected = "a grid without limits to its refinement";
-                Err(Error::setting("run to a mean error", expected, "a memory budget or criterion `ray-count`"))
+                Err(Error::setting("run to a mean error", expected, "criterion `ray-count`"))
+            }
+            Goal::MeanError(_) if self.grid.memory.is_some() => {
+                Err(Error::setting("run to a mean error", "no memory budget, which is for one set of sums", "a budget"))
             }
             Goal::MeanError(_) if self.checkpoint.is_some() => {
                 Err(Error::setting("run to a mean error", "a run by itself, to its end", "a checkpoint"))

@@ -5,12 +5,12 @@ use std::path::Path;
 use super::builder::{Builder, FieldSource};
 use super::checkpoint::RunKey;
 use super::{GridKind, GridSettings};
-use crate::Result;
 use crate::geometry::{Domain, Lattice};
 use crate::posterior::{DensePosterior, DiagonalSums, Entries, OctreePosterior};
 use crate::rays::{RayStream, RunProgress};
 use crate::render::RaySamples;
 use crate::uncertainty::UncertaintyField;
+use crate::{Error, Result};
 
 /// Builds an uncertainty field from ray samples, on the grid that the settings ask for.
 pub struct FieldBuilder(Kind);
@@ -37,8 +37,11 @@ impl FieldBuilder {
     /// Creates a builder without information.
     ///
     /// # Errors
-    /// As [`GridSettings::lattice`].
+    /// As [`GridSettings::lattice`], or if there is a memory budget.
     pub fn new(settings: GridSettings, domain: Domain) -> Result<Self> {
+        if settings.memory.is_some() {
+            return Err(Error::setting("memory budget", "a run that draws its rays", "samples from elsewhere"));
+        }
         Ok(Self(match (settings.grid, settings.entries(false)) {
             (GridKind::Dense, _) => Kind::Dense(Builder::new(settings, domain, None)?),
             (GridKind::Octree, Entries::All) => Kind::Octree(Builder::new(settings, domain, None)?),
@@ -91,10 +94,12 @@ impl FieldBuilder {
 
     /// Computes the field from the rays so far.
     ///
+    /// # Errors
+    /// If sums that left memory cannot be read, which those of this builder never do.
+    ///
     /// # Panics
     /// If `source` is a part of a run, on an octree whose settings keep no sums.
-    #[must_use]
-    pub fn finish(self, source: &FieldSource) -> UncertaintyField {
+    pub fn finish(self, source: &FieldSource) -> Result<UncertaintyField> {
         either!(self.0, builder => builder.finish(source))
     }
 }

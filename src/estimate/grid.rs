@@ -43,8 +43,9 @@ setters! {
         /// With [`Criterion::RayCount`](crate::posterior::Criterion::RayCount), approximate number of rays per vertex
         /// below which leaves stay coarser.
         pub ray_count: f64,
-        /// Maximal peak memory of the process, bytes; `None` for no limit. Leaves stay coarser where it is short, so a
-        /// field under a budget depends on what the process takes beside it.
+        /// Maximal peak memory of the process, bytes; `None` for no limit. Sums that it has no room for go to files
+        /// ([`Estimation::scratch`](super::Estimation::scratch)). The field is that of a run without a budget, but for
+        /// the order in which sums are added.
         pub memory: Option<u64> as into,
         /// Whether the field keeps its sums, for other covariances and merging. Without them an octree takes half of
         /// the memory, or two thirds for [`Covariance::Block`]. A part of a run keeps them all the same.
@@ -80,10 +81,10 @@ impl GridSettings {
         if self.criteria.ray_count { self.ray_count } else { 0.0 }
     }
 
-    /// Whether the run needs a plan.
+    /// Whether leaves stay coarser where rays are few.
     #[must_use]
-    pub fn needs_plan(&self) -> bool {
-        self.memory.is_some() || self.criteria.ray_count
+    pub fn is_limited(&self) -> bool {
+        self.criteria.ray_count
     }
 
     /// Whether the field is made of a copy of all sums at its vertices; so it is in any run that is a part of another.
@@ -125,7 +126,7 @@ impl GridSettings {
             return Err(Error::setting("lambda", expected, format!("{lambda:e}")));
         }
         if self.memory.is_some() && self.pooling.is_on() {
-            let found = "`auto`, whose memory no plan predicts";
+            let found = "`auto`, which needs the sums of all neighbours in memory";
             return Err(Error::setting("memory budget", "no pooling", found));
         }
         let lambda = self.prior_precision(&lattice);

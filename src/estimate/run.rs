@@ -1,19 +1,19 @@
 //! A run, from its settings to a field: what is asked before its first ray, and which goal it has.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use super::builder::{Builder, Finish};
-use super::checkpoint::rays_per_vertex;
-use super::draw::{Drawn, Part, draw};
+use super::draw::{Part, draw};
 use super::estimation::{Estimation, Goal};
-use super::limits::Limits;
 use super::mean_error;
+use super::overflow::{Overflow, least_budget, room_for_sums};
 use super::{
     Audit, CoverageCheck, ErrorBudget, FieldBuilder, FieldSource, GridKind, GridSettings, Plan, Planner, PositionCheck,
     RayError, SURFACE_POINTS, StepCheck,
 };
 use crate::geometry::{Lattice, kept_pixels};
+use crate::io::memory::resident;
 use crate::posterior::{DensePosterior, DiagonalSums, Entries, OctreePosterior};
 use crate::rays::{Pixels, Purpose, RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
@@ -26,15 +26,13 @@ pub struct Outcome {
     pub field: UncertaintyField,
     /// Counts of the rays that were summed.
     pub progress: RunProgress,
-    /// Size of the sums at the end, bytes.
+    /// Size of the sums in memory, bytes, when they were largest.
     pub sums_bytes: usize,
+    /// Size of the sums that left memory, bytes.
+    pub disk_bytes: u64,
     /// Time spent on summing rays and computing the field from the sums. The rest of the run's time is spent in
     /// the model.
     pub summing: Duration,
-    /// The plan that the run ended with, if something limited it.
-    pub plan: Option<Plan>,
-    /// Whether the rays took more or less memory than planned, so that the run started over with another plan.
-    pub is_replanned: bool,
     /// How far log10 U is from its limit, as far as the run knows.
     pub errors: ErrorBudget,
 }
@@ -44,7 +42,10 @@ pub struct Run<'a> {
     settings: Estimation<'a>,
     lattice: Lattice,
     stream: RayStream<'a>,
-    pub(super) limits: Limits,
+    /// Bytes that sums may take in memory, if there is a budget.
+    pub(super) room: Option<usize>,
+    /// What the run will need, if leaves stay coarser where rays are few.
+    plan: Option<Plan>,
     /// Points on visible surfaces, which the field keeps.
     surface: Vec<[f32; 3]>,
 }
@@ -53,12 +54,11 @@ pub struct Run<'a> {
 const MOST_SURFACE_RAYS: u64 = 1 << 16;
 
 impl<'a> Estimation<'a> {
-    /// Prepares everything that precedes the first ray: lattice, occupancy grid, and a plan if
-    /// memory or rays limit the octree.
+    /// Prepares everything that precedes the first ray: lattice, occupancy grid, and a plan if rays limit the octree.
     ///
     /// # Errors
     /// If a setting is out of range, settings are incompatible, there is no camera, a checkpoint belongs to another
-    /// run, the plan exceeds its budget, or the work was interrupted.
+    /// run, the memory budget is too small, or the work was interrupted.
     pub fn prepare(self) -> Result<Run<'a>> {
         Run::new(self)
     }
@@ -80,22 +80,29 @@ impl<'a> Run<'a> {
         settings.check()?;
         let lattice = settings.grid.lattice(settings.domain)?;
         let stream = settings.stream(&settings.rays, &lattice)?;
-        let limits = Limits::within(settings.grid.memory);
-        let mut run = Self { settings, lattice, stream, limits, surface: Vec::new() };
-        if run.settings.grid.needs_plan() {
-            let planner = run.pilot()?;
-            let mut plan = planner.plan()?;
-            // The interrupted run's plan depends on its budget, and on what its process took beside.
-            let files = run.files();
-            if run.limits.budget.is_some()
-                && let [Some(file)] = files.as_slice()
-                && run.settings.checkpoint.as_ref().is_some_and(|checkpoint| checkpoint.has(file))
-            {
-                plan = planner.with_rays_per_vertex(rays_per_vertex(file)?);
-            }
-            (run.limits.planner, run.limits.plan) = (Some(planner), Some(plan));
+        let room = settings.grid.memory.map(|budget| room_for_sums(budget, stream.source.memory()));
+        let mut run = Self { settings, lattice, stream, room, plan: None, surface: Vec::new() };
+        run.check_budget()?;
+        run.overflow(run.files()[0].as_deref()).map_or(Ok(()), |overflow| overflow.check())?;
+        if run.settings.grid.is_limited() {
+            run.plan = Some(run.pilot()?.plan());
         }
         Ok(run)
+    }
+
+    /// Refuses a budget of memory of which the process takes too much beside its sums already.
+    fn check_budget(&self) -> Result<()> {
+        let GridSettings { grid, memory: Some(budget), .. } = self.settings.grid else { return Ok(()) };
+        let (model, taken) = (self.stream.source.memory(), resident().unwrap_or(0));
+        let least = match grid {
+            GridKind::Dense => taken.saturating_add(DensePosterior::required_memory(&self.lattice)),
+            GridKind::Octree => least_budget(taken, model),
+        };
+        if budget >= least {
+            return Ok(());
+        }
+        let expected = format!("at least {} MB", least.div_ceil(1_000_000));
+        Err(Error::setting("memory budget", expected, format!("{} MB", budget / 1_000_000)))
     }
 
     /// Box and finest level.
@@ -122,9 +129,9 @@ impl<'a> Run<'a> {
     /// # Errors
     /// As [`RayStream::run`].
     pub fn forecast(&self) -> Result<Plan> {
-        let mut plan = match &self.limits.plan {
+        let mut plan = match &self.plan {
             Some(plan) => plan.clone(),
-            None => self.pilot()?.plan()?,
+            None => self.pilot()?.plan(),
         };
         // Every group has its own sums, and finishing needs one more.
         let sums = self.settings.goal.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
@@ -135,14 +142,13 @@ impl<'a> Run<'a> {
     fn pilot(&self) -> Result<Planner> {
         let Estimation { rays, grid, monitor, picture, .. } = &self.settings;
         let planner = Planner::new(*grid, rays, &self.stream, self.settings.own_shard(), self.lattice, *monitor)?;
-        Ok(planner.with_picture(*picture))
+        Ok(planner.with_picture(*picture).with_room(self.room))
     }
 
     /// Bytes that a budget leaves for pictures before the first ray; `None` without a budget.
     #[must_use]
     pub fn room_for_pictures(&self) -> Option<u64> {
-        let plan = self.limits.plan.as_ref()?;
-        self.settings.grid.memory.map(|budget| budget.saturating_sub(plan.outside as u64))
+        self.settings.grid.memory.map(|budget| budget.saturating_sub(resident().unwrap_or(0)))
     }
 
     /// Measures, on a few thousand rays, whether the cameras see anything of the field within its domain.
@@ -188,8 +194,8 @@ impl<'a> Run<'a> {
     /// the result is saved and [`Checkpoint::remove`](super::Checkpoint::remove) is called.
     ///
     /// # Errors
-    /// If the field is not finite on too many rays, the memory budget does not hold the coarsest leaves, a
-    /// checkpoint cannot be read or written, a [tap](Estimation::tap) fails, or the work was interrupted.
+    /// If the field is not finite on too many rays, sums or a checkpoint cannot be read or written, a
+    /// [tap](Estimation::tap) fails, or the work was interrupted.
     pub fn finish(mut self) -> Result<Outcome> {
         self.surface = self.surface_points()?;
         let grid = &self.settings.grid;
@@ -222,18 +228,17 @@ impl<'a> Run<'a> {
 
     fn finish_shard<P: Finish>(mut self) -> Result<Outcome> {
         let shard = self.settings.own_shard();
-        let mut builder = self.builder::<P>()?;
-        builder.want_density(&self.stream)?;
         let files = self.files();
+        let mut builder = self.builder::<P>()?.with_overflow(self.overflow(files[0].as_deref()));
+        builder.want_density(&self.stream)?;
         let part = Part { stream: &self.stream, shard, file: files[0].as_deref() };
-        let Drawn { progress, summing, vertices } = draw(&mut self.settings, &mut self.limits, &part, &mut builder)?;
-        let (sums_bytes, start) = (builder.memory(), Instant::now());
-        let source = self.source(progress, Some(shard));
-        let field = match vertices {
-            Some(vertices) => builder.finish_at(vertices, &source),
-            None => builder.finish(&source),
-        };
-        Ok(self.outcome(field, progress, sums_bytes, summing + start.elapsed()))
+        let drawn = draw(&mut self.settings, &part, &mut builder)?;
+        let start = Instant::now();
+        builder.spill_rest()?;
+        let (sums_bytes, disk_bytes) = (builder.memory(), builder.disk_bytes());
+        let field = builder.finish(&self.source(drawn.progress, Some(shard)))?;
+        let outcome = self.outcome(field, drawn.progress, sums_bytes, drawn.summing + start.elapsed());
+        Ok(Outcome { disk_bytes, ..outcome })
     }
 
     /// Draws `count` groups of rays, whose sizes differ by at most one, each with its own sums and its own, independent
@@ -254,7 +259,7 @@ impl<'a> Run<'a> {
             let stream = self.stream.for_purpose(Purpose::Group(group));
             let shard = Shard::whole(rays / groups + u64::from(u64::from(group) < rays % groups));
             let part = Part { stream: &stream, shard, file: file.as_deref() };
-            let drawn = draw(&mut self.settings, &mut self.limits, &part, &mut builder)?;
+            let drawn = draw(&mut self.settings, &part, &mut builder)?;
             progress.push(drawn.progress);
             summing += drawn.summing;
             ray_sets.push(stream.ray_set(shard));
@@ -278,7 +283,7 @@ impl<'a> Run<'a> {
         whole += &other;
         whole.want_density(&self.stream)?;
         // Two sequences of pixels do not form a shard that others could be added to.
-        let field = whole.finish(&self.source(progress, None)).with_ray_sets(ray_sets);
+        let field = whole.finish(&self.source(progress, None))?.with_ray_sets(ray_sets);
         let outcome = self.outcome(field, progress, sums_bytes, start.elapsed());
         Ok(Outcome { errors: ErrorBudget { rays: Some(RayError::Halves(error)), ..outcome.errors }, ..outcome })
     }
@@ -292,7 +297,7 @@ impl<'a> Run<'a> {
     /// As [`Run::finish`], or if the run's goal is not all rays in one group, or a grid needs a plan.
     pub fn finish_on(mut self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
         let Estimation { goal, checkpoint, domain, .. } = &self.settings;
-        let is_limited = checkpoint.is_some() || grids.iter().any(GridSettings::needs_plan);
+        let is_limited = checkpoint.is_some() || grids.iter().any(|grid| grid.is_limited() || grid.memory.is_some());
         if !matches!(goal, Goal::Shard { .. }) || is_limited {
             let expected = "all rays, on grids without limits, without a checkpoint";
             return Err(Error::setting("several grids", expected, "others"));
@@ -317,15 +322,22 @@ impl<'a> Run<'a> {
         })?;
         let outcome = |(builder, summing): (FieldBuilder, Duration)| {
             let (sums_bytes, start) = (builder.memory(), Instant::now());
-            let field = builder.finish(&self.source(progress, Some(shard)));
-            self.outcome(field, progress, sums_bytes, summing + start.elapsed())
+            let field = builder.finish(&self.source(progress, Some(shard)))?;
+            Ok(self.outcome(field, progress, sums_bytes, summing + start.elapsed()))
         };
-        Ok(builders.into_iter().map(outcome).collect())
+        builders.into_iter().map(outcome).collect()
     }
 
     /// Creates a builder on the plan's leaves.
     fn builder<P: Finish>(&self) -> Result<Builder<P>> {
-        Builder::new(self.settings.grid, self.settings.domain, self.limits.plan.as_ref())
+        Builder::new(self.settings.grid, self.settings.domain, self.plan.as_ref())
+    }
+
+    /// Where sums go that the budget has no room for, if there is one. The run's state is kept in `file`.
+    fn overflow(&self, file: Option<&Path>) -> Option<Overflow> {
+        // A dense grid is as large from its first ray on.
+        let room = self.room.filter(|_| self.settings.grid.grid == GridKind::Octree);
+        room.map(|room| Overflow::new(room, &self.settings.scratch, file))
     }
 
     /// The checkpoint's files, one for each group; `[None]` without a checkpoint.
@@ -344,8 +356,7 @@ impl<'a> Run<'a> {
     fn outcome(&self, field: UncertaintyField, progress: RunProgress, sums_bytes: usize, summing: Duration) -> Outcome {
         let field = field.with_surface(self.surface.clone());
         let field = self.settings.checksum.iter().fold(field, |field, &checksum| field.with_model(checksum));
-        let plan = self.limits.plan.clone().filter(|_| self.settings.grid.grid == GridKind::Octree);
-        let (errors, is_replanned) = (ErrorBudget::of_field(&field), self.limits.is_replanned);
-        Outcome { field, progress, sums_bytes, summing, plan, is_replanned, errors }
+        let errors = ErrorBudget::of_field(&field);
+        Outcome { field, progress, sums_bytes, disk_bytes: 0, summing, errors }
     }
 }

@@ -12,13 +12,16 @@ use crate::{Error, Result};
 /// End of the names of temporary files and folders.
 const SUFFIX: &str = ".part";
 
-/// Makes what will be `target` with `make`, in the same folder, under the name `.octobayes-TARGET-….part`.
-///
-/// Removes what killed processes left of the same target. A process locks its part as long as it lives.
-pub fn beside<T>(target: &Path, mode: u32, make: impl FnOnce(&Builder, &Path) -> io::Result<T>) -> io::Result<T> {
+/// How the names of temporary files of a target begin.
+fn prefix_of(target: &Path) -> String {
     let name = target.file_name().unwrap_or_default().to_string_lossy();
     // Long names are cut, because most systems allow 255 bytes, and a hash tells them apart.
-    let prefix = format!(".octobayes-{name:.40}-{:08x}-", crc32fast::hash(name.as_bytes()));
+    format!(".octobayes-{name:.40}-{:08x}-", crc32fast::hash(name.as_bytes()))
+}
+
+/// Removes what killed processes left of a target. A process locks its part as long as it lives.
+pub fn remove_leftovers(target: &Path) {
+    let prefix = prefix_of(target);
     let others = std::fs::read_dir(folder_of(target)).into_iter().flatten().flatten();
     for path in others.map(|entry| entry.path()) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -27,6 +30,13 @@ pub fn beside<T>(target: &Path, mode: u32, make: impl FnOnce(&Builder, &Path) ->
             let _ = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
         }
     }
+}
+
+/// Makes what will be `target` with `make`, in the same folder, under the name `.octobayes-TARGET-….part`, once what
+/// killed processes left of the same target is gone.
+pub fn beside<T>(target: &Path, mode: u32, make: impl FnOnce(&Builder, &Path) -> io::Result<T>) -> io::Result<T> {
+    remove_leftovers(target);
+    let prefix = prefix_of(target);
     let mut builder = Builder::new();
     builder.prefix(&prefix).suffix(SUFFIX);
     // The usual permissions (the umask applies), not the private ones of a temporary file.

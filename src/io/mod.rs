@@ -19,13 +19,14 @@ pub mod npy;
 #[cfg(feature = "files")]
 pub mod npz;
 pub mod place;
+pub mod sorted;
 mod source;
 #[cfg(feature = "files")]
 mod whole;
 
-pub use atomic::AtomicFile;
 #[cfg(feature = "synth")]
 pub use atomic::beside;
+pub use atomic::{AtomicFile, remove_leftovers};
 #[cfg(feature = "export")]
 pub use cell::cell;
 #[cfg(feature = "files")]

@@ -89,8 +89,8 @@ fn field_by(
     let mut posterior = OctreePosterior::limited(lattice, limits.clone());
     posterior.add(samples);
     let everything = Refinement::above(Refinement::EVERYTHING, &record.reading(), Criteria::default(), Vec::new());
-    let octree = posterior.octree(&everything);
-    UncertaintyField::on_octree(record, lattice, posterior, octree, true)
+    let octree = posterior.octree(&everything).unwrap();
+    UncertaintyField::on_octree(record, lattice, posterior, octree, true).unwrap()
 }
 
 fn settings() -> Settings {

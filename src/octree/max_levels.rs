@@ -2,7 +2,7 @@
 //!
 //! The cube is cut into *regions*, the cells of one coarse level. All leaves inside a region have the same
 //! level, its limit. Limits of touching regions differ by at most one, so the leaves are balanced. Where rays
-//! are too few, or memory too small, to support the finest level, vertex sums are gathered on these leaves.
+//! are too few to support the finest level, vertex sums are gathered on these leaves.
 
 use std::sync::Arc;
 

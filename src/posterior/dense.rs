@@ -2,9 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::ops::AddAssign;
+use std::sync::Arc;
 
-use super::{Posterior, Refinement, Sums, VertexSums};
+use super::{Fill, Posterior, Refinement, Sums, VertexSums};
+use crate::Result;
 use crate::geometry::Lattice;
+use crate::io::sorted::SortedFile;
 use crate::octree::{MaxLevels, trilinear};
 use crate::render::RaySamples;
 
@@ -101,18 +104,31 @@ impl Posterior for DensePosterior {
         self.sums.capacity() * size_of::<VertexSums>()
     }
 
-    fn spare(&self) -> usize {
-        0
+    fn spill(&mut self, _write: impl FnOnce(Fill<'_, VertexSums>) -> Result<SortedFile<VertexSums>>) -> Result<()> {
+        Ok(())
     }
 
-    fn vertices(&self, _refinement: &Refinement) {}
-
-    fn count(&self, (): &()) -> usize {
-        self.sums.len()
+    fn merge_runs(
+        &mut self,
+        _write: impl FnOnce(Fill<'_, VertexSums>) -> Result<SortedFile<VertexSums>>,
+    ) -> Result<()> {
+        Ok(())
     }
 
-    fn gathered(self, (): &()) -> Vec<VertexSums> {
-        self.sums
+    fn runs(&self) -> &[Arc<SortedFile<VertexSums>>] {
+        &[]
+    }
+
+    fn add_run(&mut self, _run: SortedFile<VertexSums>) -> Result<bool> {
+        Ok(false)
+    }
+
+    fn vertices(&self, _refinement: &Refinement) -> Result<()> {
+        Ok(())
+    }
+
+    fn gathered(self, (): &()) -> Result<Vec<VertexSums>> {
+        Ok(self.sums)
     }
 
     fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {

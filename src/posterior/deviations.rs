@@ -9,6 +9,7 @@ use super::octree::TOGETHER;
 use super::pooling::{MOVES, Pooling};
 use super::shrinkage::{Block, Shrinkage};
 use super::{Covariance, OctreePosterior, Scale, Sums, VertexSums, negligible_information};
+use crate::Result;
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, mean_volume};
 
@@ -112,21 +113,25 @@ pub fn comparable(limits: &MaxLevels, point: [u32; 3], mut sums: VertexSums) -> 
 impl<S: Sums> OctreePosterior<S> {
     /// What queries need of every vertex of `octree`, σ and a code of its number of rays, without a copy of the sums,
     /// and without pooling.
+    ///
+    /// # Errors
+    /// If sums that left memory cannot be read.
     pub(crate) fn values<C: Copy + Default + Send>(
         &self,
         reading: &Reading,
         octree: &Octree,
         code: impl Fn(u32) -> C + Sync,
-    ) -> (Vec<f32>, Vec<C>) {
+    ) -> Result<(Vec<f32>, Vec<C>)> {
         let count = octree.vertex_count();
         let (mut deviations, mut rays) = (vec![0.0; count], vec![C::default(); count]);
         let values = deviations.par_chunks_mut(TOGETHER).zip(rays.par_chunks_mut(TOGETHER));
-        self.groups_at(octree).zip(values).for_each(|(group, (deviations, rays))| {
-            for ((point, sums), (deviation, count)) in group.into_iter().zip(deviations.iter_mut().zip(rays)) {
+        self.groups_at(octree).zip(values).try_for_each(|(group, (deviations, rays))| {
+            for ((point, sums), (deviation, count)) in group?.into_iter().zip(deviations.iter_mut().zip(rays)) {
                 (*deviation, *count) = (reading.deviation_at(self.limits(), point, sums.widened()), code(sums.rays()));
             }
-        });
-        (deviations, rays)
+            Ok(())
+        })?;
+        Ok((deviations, rays))
     }
 }
 

@@ -29,7 +29,7 @@ pub(crate) use deviations::Reading;
 pub use deviations::Support;
 pub(crate) use deviations::{LocalSums, comparable, deviations};
 pub use octree::{Criteria, Criterion, OctreePosterior};
-pub(crate) use octree::{PilotCounts, Refinement, SpeciesEstimate, list_bytes};
+pub(crate) use octree::{Needs, Refinement, SpeciesEstimate, list_bytes};
 pub use pooling::Pooling;
 pub use scale::{DataScale, Scale};
 pub(crate) use sums::{DiagonalSums, Entries};
@@ -40,10 +40,17 @@ pub use sums::{Information, Sums, VertexSums, trace};
 pub use self::{factor::FactoredSums, ray_coverage::RayCoverage};
 
 use std::ops::AddAssign;
+use std::sync::Arc;
 
+use crate::Result;
 use crate::geometry::Lattice;
+use crate::io::sorted::{Push, SortedFile};
 use crate::octree::MaxLevels;
 use crate::render::RaySamples;
+
+/// What pushes sums with their keys, in the order of these.
+#[doc(hidden)]
+pub type Fill<'a, S> = &'a dyn Fn(Push<S>) -> Result<()>;
 
 /// Sums of information over a stream of ray samples, on one kind of grid.
 pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
@@ -66,17 +73,40 @@ pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
     /// Current size on the heap, bytes.
     fn memory(&self) -> usize;
 
-    /// The part of [`Posterior::memory`] that no sums use yet, bytes.
-    fn spare(&self) -> usize;
+    /// Frees the memory of the sums so far, which `write` writes to a run, in the order of their keys. A dense grid
+    /// keeps its own.
+    ///
+    /// # Errors
+    /// What `write` returns.
+    fn spill(&mut self, write: impl FnOnce(Fill<'_, Self::Sums>) -> Result<SortedFile<Self::Sums>>) -> Result<()>;
+
+    /// Replaces all runs by one of their sums, which `write` writes.
+    ///
+    /// # Errors
+    /// If a run cannot be read, or what `write` returns.
+    fn merge_runs(&mut self, write: impl FnOnce(Fill<'_, Self::Sums>) -> Result<SortedFile<Self::Sums>>) -> Result<()>;
+
+    /// The runs so far, the oldest first.
+    fn runs(&self) -> &[Arc<SortedFile<Self::Sums>>];
+
+    /// Adds the next run of a state that is [restored](Posterior::restore), unless it is not one of such a grid. Returns
+    /// whether it is.
+    ///
+    /// # Errors
+    /// If the run cannot be read.
+    fn add_run(&mut self, run: SortedFile<Self::Sums>) -> Result<bool>;
 
     /// The vertices of the field of these sums.
-    fn vertices(&self, refinement: &Refinement) -> Self::Vertices;
-
-    /// How many vertices these are.
-    fn count(&self, vertices: &Self::Vertices) -> usize;
+    ///
+    /// # Errors
+    /// If a run cannot be read.
+    fn vertices(&self, refinement: &Refinement) -> Result<Self::Vertices>;
 
     /// The sums at these vertices, in their order.
-    fn gathered(self, vertices: &Self::Vertices) -> Vec<Self::Sums>;
+    ///
+    /// # Errors
+    /// If a run cannot be read.
+    fn gathered(self, vertices: &Self::Vertices) -> Result<Vec<Self::Sums>>;
 
     /// The sums of this posterior and of another on the same leaves, at every vertex that rays touched in either.
     fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)>;

@@ -43,6 +43,17 @@ impl Entries {
     }
 }
 
+impl Entries {
+    /// Bytes of these sums in a file.
+    #[must_use]
+    pub fn record_bytes(self) -> usize {
+        match self {
+            Self::All => VertexSums::SIZE,
+            Self::Diagonal => DiagonalSums::SIZE,
+        }
+    }
+}
+
 /// The sums that an octree has at each vertex.
 pub trait Sums: Item + Pod + Default + PartialEq + Debug + Send + Sync + for<'a> AddAssign<&'a Self> {
     /// The name of what is summed.

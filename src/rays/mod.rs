@@ -31,7 +31,5 @@ pub use stream::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};
 
 // What only the program, Python and the experiments name.
 #[doc(hidden)]
-pub use self::{
-    pixels::{PixelSample, PixelSequence},
-    stream::End,
-};
+pub use self::pixels::{PixelSample, PixelSequence};
+pub(crate) use self::stream::End;

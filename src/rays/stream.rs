@@ -1,7 +1,6 @@
 //! Training rays as a stream of samples with Jacobians.
 
-use std::convert::Infallible;
-use std::ops::{ControlFlow, Range};
+use std::ops::Range;
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -43,13 +42,11 @@ type Group = (u64, Vec<RaySamples>);
 
 /// How a stream of rays ended.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum End<B> {
+pub(crate) enum End {
     /// After its last ray.
     Complete(RunProgress),
     /// After these rays, because the monitor asked to stop.
     Stopped(RunProgress),
-    /// Because the sink broke off.
-    Broken(B),
 }
 
 /// Draws pixels from all training images and differentiates them.
@@ -193,30 +190,25 @@ impl<'a> RayStream<'a> {
         shard: Shard,
         from: RunProgress,
         monitor: &dyn Monitor,
-        mut sink: impl FnMut(&[RaySamples], &RunProgress) -> Result<()>,
+        sink: impl FnMut(&[RaySamples], &RunProgress) -> Result<()>,
     ) -> Result<RunProgress> {
-        let goes_on = |samples: &[RaySamples], progress: &RunProgress| {
-            sink(samples, progress)?;
-            Ok(ControlFlow::<Infallible>::Continue(()))
-        };
-        match self.run_until(shard, from, monitor, goes_on)? {
+        match self.run_until(shard, from, monitor, sink)? {
             End::Complete(progress) => Ok(progress),
             End::Stopped(_) => Err(Error::Interrupted),
         }
     }
 
-    /// As [`RayStream::run`], until `sink` breaks off. That, and a request of the monitor to stop, are no errors.
+    /// As [`RayStream::run`], but a request of the monitor to stop is no error.
     ///
     /// # Errors
     /// What `sink` returns, or [`Error::NonFinite`].
-    #[doc(hidden)]
-    pub fn run_until<B>(
+    pub(crate) fn run_until(
         &self,
         shard: Shard,
         from: RunProgress,
         monitor: &dyn Monitor,
-        mut sink: impl FnMut(&[RaySamples], &RunProgress) -> Result<ControlFlow<B>>,
-    ) -> Result<End<B>> {
+        mut sink: impl FnMut(&[RaySamples], &RunProgress) -> Result<()>,
+    ) -> Result<End> {
         monitor.begin("rays", shard.own_rays());
         monitor.advance(from.rays);
         let mut progress = from;
@@ -250,9 +242,7 @@ impl<'a> RayStream<'a> {
                     progress.dropped += batch.dropped;
                     progress.first_invalid = progress.first_invalid.or(batch.first_invalid.map(|x| x.to_array()));
                 }
-                if let ControlFlow::Break(with) = sink(&group, &progress)? {
-                    return Ok(End::Broken(with));
-                }
+                sink(&group, &progress)?;
             }
         }
         monitor.end();

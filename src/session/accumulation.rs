@@ -29,8 +29,8 @@ impl Accumulation {
     /// # Errors
     /// If the settings need the model and its rays, or as [`FieldBuilder::new`].
     pub fn new(settings: GridSettings, domain: Domain) -> Result<Self> {
-        if settings.needs_plan() || settings.criteria.density {
-            let expected = "`sensitivity`, and no memory: the rest needs the model and its rays";
+        if settings.is_limited() || settings.criteria.density {
+            let expected = "`sensitivity`: the rest needs the model and its rays";
             return Err(Error::setting("--refine", expected, settings.criteria.to_string()));
         }
         let (builder, pooling) = (FieldBuilder::new(settings, domain)?, settings.pooling);
@@ -81,7 +81,7 @@ impl Accumulation {
         }
         let sums_bytes = builder.memory();
         let progress = RunProgress { rays, samples: all, ..RunProgress::default() };
-        let field = builder.finish(&FieldSource { source: source.into(), progress, ..FieldSource::default() });
+        let field = builder.finish(&FieldSource { source: source.into(), progress, ..FieldSource::default() })?;
         checks::field(&field, pooling, true, tell);
         let errors = ErrorBudget::of_field(&field);
         Ok(Finished {
@@ -90,7 +90,7 @@ impl Accumulation {
             elapsed: start.elapsed(),
             sums_bytes,
             images: None,
-            replanned: None,
+            disk_bytes: 0,
             checkpoint: None,
         })
     }

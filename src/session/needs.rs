@@ -23,6 +23,8 @@ pub struct Needs {
     pub rays_per_vertex: f64,
     /// Peak memory of the process, bytes.
     pub peak_bytes: f64,
+    /// Size of the sums that leave memory, bytes on disk.
+    pub disk_bytes: f64,
     /// Size of the file, bytes.
     pub file_bytes: f64,
     /// Time of the run, its checks included.
@@ -51,6 +53,7 @@ impl Prepared<'_> {
             vertices: plan.vertices.round(),
             rays_per_vertex: plan.rays_per_vertex,
             peak_bytes: plan.peak().round(),
+            disk_bytes: plan.disk.round(),
             file_bytes: plan.file.round(),
             seconds,
             threads: rayon::current_num_threads(),
@@ -74,15 +77,16 @@ impl Prepared<'_> {
         };
         let left = available().zip(resident()).map(|(available, resident)| (available + resident) as f64);
         if let Some(left) = left.filter(|left| plan.peak() > *left) {
+            let bound = if self.grid.memory.is_none() { "--memory bounds it, " } else { "" };
             let expected = format!(
-                "{}, the peak of the process by a pilot of the run; --memory bounds it, a lower --level or \
-                 --refine ray-count need less",
+                "{}, the peak of the process by a pilot of the run; {bound}a lower --level or --refine ray-count need \
+                 less",
                 bytes(plan.peak() as usize)
             );
             return Err(Error::setting("memory", expected, format!("{} free", bytes(left as usize))));
         }
         let is_notable =
-            self.grid.needs_plan() || self.run.rays() >= Planner::CHEAP * Planner::PILOT || plan.file > LARGE_FILE;
+            self.grid.is_limited() || self.run.rays() >= Planner::CHEAP * Planner::PILOT || plan.file > LARGE_FILE;
         Ok(is_notable.then_some(plan))
     }
 }

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::memory::peak;
 use crate::Result;
-use crate::estimate::{Checkpoint, ErrorBudget, Plan, facts};
+use crate::estimate::{Checkpoint, ErrorBudget, facts};
 use crate::evaluate::ImageCheck;
 use crate::posterior::RayCoverage;
 use crate::uncertainty::UncertaintyField;
@@ -24,12 +24,12 @@ pub struct Finished {
     pub errors: ErrorBudget,
     /// Time from the first check to the field.
     pub elapsed: Duration,
-    /// Largest size of the sums, bytes.
+    /// Largest size of the sums in memory, bytes.
     pub sums_bytes: usize,
+    /// Size of the sums that left memory, bytes on disk.
+    pub disk_bytes: u64,
     /// How well the model shows the images beside the cameras, if there are any.
     pub images: Option<ImageCheck>,
-    /// The plan of a run that started again, because the rays took more or less memory than planned.
-    pub replanned: Option<Plan>,
     pub(super) checkpoint: Option<(Checkpoint, Option<u16>)>,
 }
 
@@ -59,6 +59,7 @@ impl Finished {
         value["seconds"] = json!(self.elapsed.as_secs_f64());
         value["peak_bytes"] = json!(peak());
         value["posterior_bytes"] = json!(self.sums_bytes);
+        value["disk_bytes"] = json!(self.disk_bytes);
         value["errors"] = json!(self.errors);
         value["images"] = json!(self.images.as_ref().map(ImageCheck::report));
         value

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use glam::Vec3;
 
+use super::memory::{bytes, peak};
 use super::training_args::TrainingArgs;
 use super::{Choices, Finished, Purpose, TrainingPixels, checks, world};
 use crate::dataset::{Frame, Views, memory_of_masks, read_masks};
@@ -53,6 +54,8 @@ setters! {
         goal: Goal,
         /// Where the state is saved.
         checkpoint: Option<Checkpoint>,
+        /// The folder of sums that a budget of memory has no room for; `None` for the system's folder of such files.
+        scratch: Option<PathBuf>,
         /// Images that the model is compared with, for the deviation of depth.
         images: Option<TrainingImages>,
         /// Where the samples are written.
@@ -104,6 +107,7 @@ impl Session {
             choices: Choices::default(),
             goal: Goal::default(),
             checkpoint: None,
+            scratch: None,
             images: None,
             dump: None,
             audit: false,
@@ -270,6 +274,7 @@ impl Session {
             estimation.masks(&self.masks).domain(domain).rays(rays).grid(grid).goal(self.goal).source(&*self.source);
         let estimation = self.checksum.into_iter().fold(estimation, Estimation::checksum);
         let estimation = self.checkpoint.iter().cloned().fold(estimation, Estimation::checkpoint);
+        let estimation = self.scratch.iter().fold(estimation, Estimation::scratch);
         Ok(match &self.dump {
             None => estimation,
             Some(_) => {
@@ -364,7 +369,7 @@ impl Prepared<'_> {
                 session.note_progress(rays, "the same command goes on", tell);
             }
         })?;
-        let Outcome { field, progress, sums_bytes, plan, is_replanned, errors, .. } = outcome;
+        let Outcome { field, progress, sums_bytes, disk_bytes, errors, .. } = outcome;
         let errors = ErrorBudget { audit, step, ..errors };
         if let (Some(RayError::Halves(error)), Goal::MeanError(target)) = (errors.rays, session.goal)
             && (error.mean > target || error.vertices == 0)
@@ -373,9 +378,14 @@ impl Prepared<'_> {
             let text = format!("stopped at --rays {rays}; the mean error is still above {target:?} decades");
             tell(Message::Warning(text));
         }
-        if is_replanned {
-            let text = "the rays took more or less memory than planned; the run started again";
-            tell(Message::Note(text.into()));
+        if let Some((budget, peak)) = grid.memory.zip(peak()).filter(|(budget, peak)| peak > budget) {
+            let of_field = field.memory().iter().map(|part| part.1).sum();
+            let [budget, peak] = [budget, peak].map(|size| bytes(size as usize));
+            let text = format!(
+                "--memory {budget} was exceeded: {peak} at the peak; the field itself takes {}",
+                bytes(of_field)
+            );
+            tell(Message::Warning(text));
         }
         if let Some(first) = progress.first_invalid {
             let dropped = progress.dropped;
@@ -396,7 +406,7 @@ impl Prepared<'_> {
             elapsed: start.elapsed(),
             sums_bytes,
             images,
-            replanned: plan.filter(|_| is_replanned),
+            disk_bytes,
             checkpoint: session.checkpoint.clone().map(|checkpoint| (checkpoint, session.goal.groups())),
         })
     }

@@ -51,6 +51,7 @@ pub use self::{
 pub use crate::posterior::Support;
 
 use self::layers::Layers;
+use crate::Result;
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, VertexId};
 use crate::posterior::{LocalSums, OctreePosterior, Reading, Sums, VertexSums, deviations};
@@ -119,6 +120,9 @@ impl UncertaintyField {
     /// The field on an octree that was made of the sums. σ is read straight from the posterior, which saves a copy, or
     /// the field gathers the sums. It must if they are kept, a part of others, or pooled.
     ///
+    /// # Errors
+    /// If sums that left memory cannot be read.
+    ///
     /// # Panics
     /// If it gathers them, and has not all of S, or must and does not.
     pub(crate) fn on_octree<S: Sums>(
@@ -127,19 +131,19 @@ impl UncertaintyField {
         posterior: OctreePosterior<S>,
         octree: Octree,
         gathers_sums: bool,
-    ) -> Self {
+    ) -> Result<Self> {
         let limits = posterior.limits().clone();
         let must = record.is_part() || record.pooling.is_on();
         assert!(if gathers_sums { S::IS_WHOLE } else { !must }, "a part of a run, or a pooled one, needs all sums");
-        if gathers_sums {
-            let sums = posterior.sums_at(&octree);
+        Ok(if gathers_sums {
+            let sums = posterior.sums_at(&octree)?;
             drop(posterior);
             Self::on_leaves(record, lattice, Support::Octree(octree), limits, sums)
         } else {
-            let (deviations, rays) = posterior.values(&record.reading(), &octree, by_vertex::encode);
+            let (deviations, rays) = posterior.values(&record.reading(), &octree, by_vertex::encode)?;
             let values = (deviations.into(), rays.into());
             Self::from_values(record, lattice, Support::Octree(octree), limits, values)
-        }
+        })
     }
 
     /// Whether this is only a part of a run, whose other shards are missing.
@@ -239,7 +243,7 @@ impl UncertaintyField {
 
     /// The name of every layer, and one line on what the field has of it; an error if it has none.
     #[must_use]
-    pub fn layers(&self) -> Vec<(&'static str, Result<String, &'static str>)> {
+    pub fn layers(&self) -> Vec<(&'static str, std::result::Result<String, &'static str>)> {
         self.layers.info()
     }
 

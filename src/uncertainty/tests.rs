@@ -68,8 +68,8 @@ pub(super) fn refinement(record: &RunRecord) -> Refinement {
 
 /// The field of sums on the octree that is refined for them.
 pub(super) fn on_own_octree(record: RunRecord, lattice: Lattice, posterior: OctreePosterior) -> UncertaintyField {
-    let octree = posterior.octree(&refinement(&record));
-    UncertaintyField::on_octree(record, lattice, posterior, octree, true)
+    let octree = posterior.octree(&refinement(&record)).unwrap();
+    UncertaintyField::on_octree(record, lattice, posterior, octree, true).unwrap()
 }
 
 fn pooled_fields(covariance: Covariance, scale: f64, pooling: Pooling) -> [UncertaintyField; 2] {

@@ -24,7 +24,7 @@ fn part(stream: &RayStream, grid: GridSettings, domain: Domain, shard: Shard) ->
     });
     let source =
         FieldSource { source: "test".into(), progress: progress.unwrap(), shard: Some(shard), stream: Some(stream) };
-    builder.finish(&source)
+    builder.finish(&source).unwrap()
 }
 
 /// Largest |Δ log10 U| over all lattice points. `dense` has one value for each.

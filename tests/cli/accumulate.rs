@@ -31,7 +31,7 @@ fn samples_written_by_numpy_give_numpys_sums() {
         };
         reader.run(&Silent, add).unwrap();
         let progress = RunProgress { rays: reader.rays_total(), ..RunProgress::default() };
-        let exact = builder.finish(&FieldSource { progress, ..FieldSource::default() });
+        let exact = builder.finish(&FieldSource { progress, ..FieldSource::default() }).unwrap();
         compare_with_numpy(&exact, &expected, 1e-14, grid);
         // Files keep factors in f32, each entry within 6e-8 of itself: six products of two entries.
         compare_with_numpy(&read, &expected, 4e-7, grid);

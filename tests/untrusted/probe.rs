@@ -204,7 +204,7 @@ fn checkpoint(path: &Path) -> Result<()> {
             builder.add(&[samples::ray_samples()]);
             if found.rays > 0 {
                 let progress = RunProgress { rays: found.rays, ..RunProgress::default() };
-                let field = builder.finish(&FieldSource { progress, ..FieldSource::default() });
+                let field = builder.finish(&FieldSource { progress, ..FieldSource::default() }).unwrap();
                 assert!(field.surface().len() <= SURFACE_POINTS, "no more points than the run keeps");
                 field_is_sound(&field, path);
             }
@@ -255,7 +255,7 @@ fn samples_are_sound(path: &Path) -> Result<()> {
         Ok(())
     })?;
     let progress = RunProgress { rays: reader.rays_total(), samples: reader.samples(), ..RunProgress::default() };
-    let field = builder.finish(&FieldSource { source: "samples".into(), progress, ..FieldSource::default() });
+    let field = builder.finish(&FieldSource { source: "samples".into(), progress, ..FieldSource::default() })?;
     let x = Vec3::new(0.1, 0.2, 0.3);
     assert!(field.query(x).uncertainty > 0.0, "{:?}", field.query(x));
     Ok(())

@@ -125,12 +125,8 @@ pub fn fields() -> Vec<UncertaintyField> {
     let small = GridSettings::default().level(2);
     let drawn = |settings, domain, shard| {
         let source = "tests".into();
-        builder(settings, domain).finish(&FieldSource {
-            source,
-            progress: progress(),
-            shard: Some(shard),
-            stream: None,
-        })
+        let source = FieldSource { source, progress: progress(), shard: Some(shard), stream: None };
+        builder(settings, domain).finish(&source).unwrap()
     };
     let field = |settings, domain| drawn(settings, domain, Shard::whole(5));
     let block = small.covariance(Covariance::Block).level(3).pooling(Pooling::Auto);

@@ -19,6 +19,7 @@ use crate::Result;
 use crate::dataset::Part;
 use crate::estimate::{Checkpoint, Feature, Goal, GridSettings, RaySettings};
 use crate::evaluate::TrainingImages;
+use crate::io::place::folder_of;
 use crate::posterior::Criterion;
 use crate::rays::{Pixels, SamplesReader};
 use crate::render::{GradientMethod, Occupancy};
@@ -73,9 +74,24 @@ pub struct Args {
     #[command(flatten)]
     domain: DomainOptions,
 
-    /// Memory limit of the whole process, e.g. 2GiB; to stay below it, cells with the fewest rays are not refined
+    /// Memory limit of the whole process, e.g. 2GiB. Sums that do not fit go to disk; the field stays the same
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes, help_heading = heading::GRID)]
     memory: Option<u64>,
+
+    /// Folder for the sums that --memory has no room for [default: that of the output, or of the checkpoint]
+    ///
+    /// They take 36 bytes for every vertex that rays touched, or 60 where all of S is summed, once per file whose rays
+    /// touched it; --dry-run foresees how much. The files have no names, so that none is left behind however the run
+    /// ends. With --checkpoint they belong to it, and lie beside it.
+    #[arg(
+        long,
+        value_name = "DIR",
+        requires = "memory",
+        conflicts_with = "checkpoint",
+        help_heading = heading::GRID,
+        hide_short_help = true,
+    )]
+    scratch: Option<PathBuf>,
 
     /// Where to refine the octree; several criteria are separated by commas
     #[arg(
@@ -181,6 +197,7 @@ pub struct Args {
     /// there
     ///
     /// The run survives Ctrl-C, kill -9 and power cuts, and ends with the same bytes. The file is removed at the end.
+    /// With --memory, the sums that left memory lie beside it: FILE.run0, FILE.run1, …
     #[arg(long, value_name = "FILE", conflicts_with = "dump_samples", help_heading = heading::OUTPUT)]
     checkpoint: Option<PathBuf>,
 
@@ -191,14 +208,7 @@ pub struct Args {
     /// Also write the ray samples with their Jacobians, which this command reads in place of a model
     ///
     /// Samples whose Jacobian is zero are left out, so that weights do not add up to the opacity.
-    // Under a memory budget a run may start again, and would write its first rays twice.
-    #[arg(
-        long,
-        value_name = "SAMPLES.npz",
-        conflicts_with = "memory",
-        help_heading = heading::OUTPUT,
-        hide_short_help = true,
-    )]
+    #[arg(long, value_name = "SAMPLES.npz", help_heading = heading::OUTPUT, hide_short_help = true)]
     dump_samples: Option<PathBuf>,
 
     /// Print one JSON object
@@ -279,6 +289,7 @@ impl Args {
             .choices(self.grid.choices())
             .goal(Goal::of(self.target_error, self.shard, self.error_bars))
             .checkpoint(self.checkpoint())
+            .scratch(self.scratch_folder())
             .images(images)
             .dump(self.dump_samples.clone())
             .audit(self.audit)
@@ -292,9 +303,7 @@ impl Args {
         if let Some(plan) = prepared.forecast()? {
             report::plan(&plan, prepared.level());
         }
-        let level = prepared.level();
         let finished = prepared.finish(&mut tell)?;
-        finished.replanned.iter().for_each(|plan| report::plan(plan, level));
         finished.save(output)?;
         report::finished(&finished, self.json)
     }
@@ -330,7 +339,16 @@ impl Args {
         report::given_up(plan).map_or(Ok(()), |given_up| say!("{given_up}"))?;
         let [peak, file] = [plan.peak(), plan.file].map(|size| report::bytes(size as usize));
         say!("        {peak} of memory, {:.0} s on {threads} threads, a file of {file}", needs.seconds.ceil())?;
+        if plan.disk > 0.0 {
+            say!("        {} of sums on disk during the run", report::bytes(plan.disk as usize))?;
+        }
         say!("{}", report::errors(errors))
+    }
+
+    /// Where sums go that do not fit into memory: beside the result, unless a folder was chosen.
+    fn scratch_folder(&self) -> Option<PathBuf> {
+        let beside = || Some(folder_of(self.output.as_deref()?).to_path_buf());
+        self.scratch.clone().or_else(beside)
     }
 
     /// What is read and written. A checkpoint is both by design.

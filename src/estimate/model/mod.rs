@@ -25,7 +25,7 @@ use crate::uncertainty::BakedField;
 pub enum Feature {
     /// Rays that are marched, and derivatives of a density: steps, cutoffs, an occupancy grid, an audit.
     March,
-    /// Rays in any order, so that the first are like all others: a memory budget, a run to a mean error.
+    /// Rays in any order, so that the first are like all others: a run to a mean error.
     AnyOrder,
     /// A density, near which the octree is refined.
     Density,

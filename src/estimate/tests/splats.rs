@@ -94,7 +94,7 @@ fn sums(batches: &[RaySamples]) -> Vec<VertexSums> {
     builder.add(batches);
     let source =
         FieldSource { progress: RunProgress { rays: 5000, ..RunProgress::default() }, ..FieldSource::default() };
-    builder.finish(&source).sums().unwrap().to_vec()
+    builder.finish(&source).unwrap().sums().unwrap().to_vec()
 }
 
 #[test]
@@ -220,7 +220,7 @@ fn a_run_is_the_sum_of_its_samples() {
         Ok(())
     });
     let outcome = tapped.run().unwrap();
-    let other = builder.finish(&FieldSource { progress: outcome.progress, ..FieldSource::default() });
+    let other = builder.finish(&FieldSource { progress: outcome.progress, ..FieldSource::default() }).unwrap();
     let compared = crate::uncertainty::compare(&outcome.field, &other, 5000, 1).unwrap();
     assert_eq!(compared.in_box.clone().unwrap().max, 0.0, "{compared:?}");
 }
@@ -365,7 +365,6 @@ fn what_only_volumes_have_is_refused() {
     refused(start().rays(rays.occupancy(64)), "occupancy");
     refused(start().rays(rays.pixels(Pixels::Random)), "pixels");
     refused(start().rays(rays).until_mean_error(0.1), "mean error");
-    refused(start().rays(rays).grid(grid().memory(1 << 30)), "memory budget");
     let density: Criteria = [Criterion::Density].into_iter().collect();
     refused(start().rays(rays).grid(grid().criteria(density)), "criterion `density`");
     let run = start().rays(rays).prepare().unwrap();

@@ -40,7 +40,7 @@ const VERTICES_PER_LEAF: f64 = 0.8;
 /// give Chao's lower bound V = d + f1 (f1 − 1) / (2 (f2 + 1)), and the run finds V (1 − exp(−t s / V)) of these. The
 /// larger number counts.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct SpeciesCounts {
+pub(super) struct SpeciesCounts {
     counts: Counts,
     /// f1, f2, f3.
     few: [f64; 3],
@@ -53,7 +53,7 @@ impl SpeciesCounts {
     const MOST_THETA: f64 = 0.95;
     const LEAST_SHAPE: f64 = 0.02;
 
-    fn add(mut self, rays: u32) -> Self {
+    pub(super) fn add(mut self, rays: u32) -> Self {
         self.counts = self.counts.add(Counts::of(rays));
         if let Some(f) = self.few.get_mut((rays as usize).wrapping_sub(1)) {
             *f += 1.0;
@@ -62,7 +62,7 @@ impl SpeciesCounts {
     }
 
     /// Expected number of species in the run.
-    fn expected(&self, s: f64) -> f64 {
+    pub(super) fn expected(&self, s: f64) -> f64 {
         if self.counts.distinct == 0.0 {
             return 0.0;
         }
@@ -151,10 +151,10 @@ impl Needs {
         entries.vertex_bytes() as f64 * self.sums + (BLOCK_BYTES + BRICK_BYTES) * self.bricks
     }
 
-    /// Expected room beside them that is taken and not used, bytes, if there are `times` as many.
+    /// Expected room beside them that is taken and not used, bytes.
     #[must_use]
-    pub fn spare(&self, times: f64) -> f64 {
-        spare_bytes(times * self.sums, times * self.bricks)
+    pub fn spare(&self) -> f64 {
+        spare_bytes(self.sums, self.bricks)
     }
 }
 
@@ -265,8 +265,8 @@ impl SpeciesEstimate {
     /// If there are limits, and the census was made for runs without.
     #[must_use]
     pub fn needs(&self, scale: f64, limits: &MaxLevels) -> Needs {
-        let region = limits.region_level();
-        let knows_coarser = self.vertices.len() > usize::from(limits.finest() - region);
+        let (finest, region) = (limits.finest(), limits.region_level());
+        let knows_coarser = self.vertices.len() > usize::from(finest - region);
         assert!(limits.is_unlimited() || knows_coarser, "a census for runs without limits");
         let last = self.lattice.cells_per_axis() - 1;
         let on_limit = |coarseness: u8, code: u64| {

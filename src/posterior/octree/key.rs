@@ -96,8 +96,8 @@ impl BlockCode {
         self.0
     }
 
-    /// The block of finest vertices with these bits.
-    pub fn finest(bits: u64) -> Self {
+    /// The block with these bits; those of finest vertices are a part of a Morton code.
+    pub fn of(bits: u64) -> Self {
         Self(bits)
     }
 

@@ -1,6 +1,6 @@
 //! The octree posterior: sums information only where rays are sensitive, in one pass and without an initial guess.
 //!
-//! Rays are summed on leaves as fine as [`MaxLevels`] allows. That is the finest lattice, unless rays or memory
+//! Rays are summed on leaves as fine as [`MaxLevels`] allows. That is the finest lattice, unless rays
 //! cannot support it in some region. Only vertices touched by a sensitive sample have sums ([sparse]). At the
 //! end the octree is refined around every vertex that moved from the prior by more than the tolerance. Everywhere
 //! else the field equals the prior to within the tolerance, and leaves stay as coarse as 2:1 balance permits.
@@ -19,27 +19,31 @@ mod key;
 mod pages;
 mod pilot_counts;
 mod refine;
+mod runs;
 mod scattered;
 mod sparse;
 mod squares;
 mod walk;
 
-pub use census::SpeciesEstimate;
-pub use pilot_counts::PilotCounts;
+pub use census::{Needs, SpeciesEstimate};
 pub(super) use refine::TOGETHER;
 pub use refine::{Criteria, Criterion, Refinement};
 
 use std::ops::{AddAssign, Range};
+use std::sync::Arc;
 
 use key::{Contributions, VertexKey};
 use rayon::prelude::*;
+use runs::Runs;
 use scattered::Scattered;
 use sparse::SparseSums;
 use walk::LeafWalk;
 
 use super::sums::DiagonalSums;
-use super::{Entries, Posterior, Sums, VertexSums};
+use super::{Entries, Fill, Posterior, Sums, VertexSums};
+use crate::Result;
 use crate::geometry::Lattice;
+use crate::io::sorted::SortedFile;
 use crate::octree::{Leaves, MaxLevels, Octree, coarseness};
 use crate::render::RaySamples;
 
@@ -62,6 +66,8 @@ pub struct OctreePosterior<S: Sums = VertexSums> {
     lattice: Lattice,
     limits: MaxLevels,
     sums: SparseSums<S>,
+    /// Sums over earlier rays, which left memory.
+    runs: Runs<S>,
 }
 
 impl OctreePosterior {
@@ -84,7 +90,7 @@ impl OctreePosterior {
 impl<S: Sums> OctreePosterior<S> {
     fn with(lattice: Lattice, limits: MaxLevels) -> Self {
         assert_eq!(limits.finest(), lattice.level(), "limits belong to the lattice's level");
-        Self { lattice, limits, sums: SparseSums::new() }
+        Self { lattice, limits, sums: SparseSums::new(), runs: Runs::default() }
     }
 
     /// The maximal level of leaves, by region.
@@ -99,14 +105,22 @@ impl<S: Sums> OctreePosterior<S> {
     }
 
     /// The sums so far at a lattice point.
+    ///
+    /// # Panics
+    /// If some have left memory.
     #[must_use]
     pub fn sums(&self, point: [u32; 3]) -> S {
+        assert!(self.runs.is_empty(), "all sums are in memory");
         self.sums.get(VertexKey::new(point, self.coarseness(point))).copied().unwrap_or_default()
     }
 
     /// Every vertex that a ray touched, with its lattice point.
+    ///
+    /// # Panics
+    /// If some sums have left memory.
     #[must_use = "iterators are lazy"]
     pub fn touched(&self) -> impl ParallelIterator<Item = ([u32; 3], &S)> {
+        assert!(self.runs.is_empty(), "all sums are in memory");
         self.sums.par_iter().filter(|(_, e)| e.rays() > 0).map(|(key, e)| (key.point(), e))
     }
 
@@ -118,6 +132,11 @@ impl<S: Sums> OctreePosterior<S> {
             return 0;
         }
         coarseness(&self.limits, point)
+    }
+
+    /// Whether sums under a key would be found: its leaves are as coarse as those around its point.
+    fn is_found(&self, key: VertexKey) -> bool {
+        u64::from(self.coarseness(key.point())) == key.coarseness()
     }
 
     /// Calls `visit` for every ray of a batch, in order, with what it adds at each vertex that it touches: lattice
@@ -161,6 +180,7 @@ impl<S: Sums> OctreePosterior<S> {
 impl<S: Sums> AddAssign<&Self> for OctreePosterior<S> {
     /// Adds the sums over other rays on the same leaves, vertex by vertex.
     fn add_assign(&mut self, other: &Self) {
+        assert!(other.runs.is_empty(), "sums of several groups are in memory");
         self.sums += &other.sums;
     }
 }
@@ -187,19 +207,49 @@ impl<S: Sums> Posterior for OctreePosterior<S> {
         self.sums.memory()
     }
 
-    fn spare(&self) -> usize {
-        self.sums.spare()
+    fn spill(&mut self, write: impl FnOnce(Fill<'_, S>) -> Result<SortedFile<S>>) -> Result<()> {
+        let sums = std::mem::replace(&mut self.sums, SparseSums::new());
+        self.runs.push(write(&|push| sums.in_order(|key, sums| push(key.bits(), sums)))?);
+        Ok(())
     }
 
-    fn vertices(&self, refinement: &Refinement) -> Octree {
+    fn merge_runs(&mut self, write: impl FnOnce(Fill<'_, S>) -> Result<SortedFile<S>>) -> Result<()> {
+        let merged = write(&|push| {
+            let mut all = self.runs.merged(VertexKey::from_bits(0))?;
+            while let Some((key, sums)) = all.next()? {
+                push(key.bits(), sums)?;
+            }
+            Ok(())
+        })?;
+        self.runs = Runs::default();
+        self.runs.push(merged);
+        Ok(())
+    }
+
+    fn runs(&self) -> &[Arc<SortedFile<S>>] {
+        self.runs.files()
+    }
+
+    fn add_run(&mut self, run: SortedFile<S>) -> Result<bool> {
+        let (mut records, mut last) = (run.cursor(0)?, None);
+        while let Some(bits) = records.peek()? {
+            let (sums, key) = (records.take(), VertexKey::from_bits(bits));
+            let is_vertex = key.is_within(self.lattice.cells_per_axis()) && self.is_found(key);
+            if !is_vertex || last >= Some(bits) || !sums.widened().is_valid() {
+                return Ok(false);
+            }
+            last = Some(bits);
+        }
+        drop(records);
+        self.runs.push(run);
+        Ok(true)
+    }
+
+    fn vertices(&self, refinement: &Refinement) -> Result<Octree> {
         self.octree(refinement)
     }
 
-    fn count(&self, octree: &Octree) -> usize {
-        octree.vertex_count()
-    }
-
-    fn gathered(self, octree: &Octree) -> Vec<S> {
+    fn gathered(self, octree: &Octree) -> Result<Vec<S>> {
         self.each_at(octree, |sums| *sums)
     }
 
@@ -224,11 +274,7 @@ impl<S: Sums> Posterior for OctreePosterior<S> {
         }
         let sums = SparseSums::restore(lattice.cells_per_axis(), keys, sums)?;
         let restored = Self { sums, ..Self::empty(lattice, limits) };
-        let is_found = |&key: &u64| {
-            let key = VertexKey::from_bits(key);
-            u64::from(restored.coarseness(key.point())) == key.coarseness()
-        };
-        keys.par_iter().all(is_found).then_some(restored)
+        keys.par_iter().all(|&key| restored.is_found(VertexKey::from_bits(key))).then_some(restored)
     }
 }
 

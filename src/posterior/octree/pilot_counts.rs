@@ -11,7 +11,6 @@
 
 use rustc_hash::FxHashMap;
 
-use crate::io::mix;
 use crate::octree::{DEPTH, MaxLevels, cells_around, morton};
 
 /// Coverage, the share of touches at vertices that another ray touches, from which V is believed.
@@ -120,23 +119,8 @@ impl PilotCounts {
     /// The finest limits with which `scale` times the pilot's rays give at least `min_rays` rays per vertex, by region.
     #[must_use]
     pub fn limits(&self, scale: f64, min_rays: f64) -> MaxLevels {
-        self.limits_where(scale, |_| min_rays)
-    }
-
-    /// As [`PilotCounts::limits`], but every region requires up to twice the number of rays, at random.
-    ///
-    /// Many regions have the same few counts. Their limits would all fall at the same number of rays, and a budget that
-    /// lies between could not be used.
-    #[must_use]
-    pub fn spread_limits(&self, scale: f64, min_rays: f64) -> MaxLevels {
-        let chance = |region: u64| (mix(region) >> 40) as f64 / 2_f64.powi(24);
-        self.limits_where(scale, |region| min_rays * chance(region).exp2())
-    }
-
-    fn limits_where(&self, scale: f64, min_rays: impl Fn(u64) -> f64) -> MaxLevels {
         let least = MaxLevels::none(self.finest).region_level();
         let wanted = self.regions.iter().map(|(&region, evidence)| {
-            let min_rays = min_rays(region);
             let is_enough =
                 |coarser: &u8| scale * f64::from(evidence.rays_per_vertex[usize::from(*coarser)]) >= min_rays;
             (region, (0..=self.finest - least).find(is_enough).map_or(least, |coarser| self.finest - coarser))

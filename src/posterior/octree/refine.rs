@@ -2,15 +2,21 @@
 
 use std::fmt;
 
+use rayon::iter::Either;
 use rayon::prelude::*;
 
 use super::OctreePosterior;
 use super::key::{BlockCode, VertexKey};
+use crate::Result;
 use crate::octree::{Cell, Leaves, MaskSet, Octree, Wanted, cells_around};
 use crate::posterior::{Reading, Sums, VertexSums};
 
 /// Vertices whose sums are gathered together.
 pub const TOGETHER: usize = 64;
+/// Groups of these that one thread gathers at least. It reads a page of every run first.
+const GROUPS_TOGETHER: usize = 64;
+/// Blocks of a list.
+const BLOCKS_TOGETHER: usize = 1 << 12;
 
 /// A single criterion that requires refinement or limits it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
@@ -115,76 +121,99 @@ impl<S: Sums> OctreePosterior<S> {
     /// keeps every vertex that any ray moved. At vertices surrounded by leaves at their own limit, the sums are
     /// exact; on the finest lattice they equal those of the dense grid. At all other vertices the information is
     /// negligible with respect to the floor.
-    #[must_use]
-    pub fn octree(&self, refinement: &Refinement) -> Octree {
+    ///
+    /// # Errors
+    /// If sums that left memory cannot be read.
+    pub fn octree(&self, refinement: &Refinement) -> Result<Octree> {
         let finest = self.lattice.level();
         let mut wanted = match refinement.floor {
             None => Wanted::new(finest),
             Some(floor) if refinement.is_pooled => {
-                let moved: Vec<(BlockCode, u64)> = self.moved(floor).collect();
-                let beside = self.moved_by_pooling(&moved);
-                self.wanted_around(moved.par_iter().copied().chain(beside))
+                let moved = self.moved(floor).collect::<Result<Vec<Vec<_>>>>()?.concat();
+                let beside: Vec<_> = self.moved_by_pooling(&moved).collect();
+                self.wanted_around([moved, beside].concat().par_chunks(BLOCKS_TOGETHER).map(|some| Ok(some.to_vec())))?
             }
-            Some(floor) => self.wanted_around(self.moved(floor)),
+            Some(floor) => self.wanted_around(self.moved(floor))?,
         };
         for &cell in &refinement.wanted {
             let (origin, _) = cell.extent(finest);
             let limit = self.limits.leaf(origin);
             wanted.cell(if limit.level < cell.level { limit } else { cell });
         }
-        Octree::from_wanted(wanted)
+        Ok(Octree::from_wanted(wanted))
     }
 
     /// The sums at the vertices of an octree, in the order of their ids, with zeros for what is not summed.
-    #[must_use]
-    pub fn sums_at(&self, octree: &Octree) -> Vec<VertexSums> {
+    ///
+    /// # Errors
+    /// If sums that left memory cannot be read.
+    pub fn sums_at(&self, octree: &Octree) -> Result<Vec<VertexSums>> {
         self.each_at(octree, S::widened)
     }
 
     /// What `read` makes of the sums at the vertices of an octree, in the order of their ids.
-    pub(super) fn each_at<T: Clone + Default + Send>(&self, octree: &Octree, read: impl Fn(&S) -> T + Sync) -> Vec<T> {
+    pub(super) fn each_at<T: Clone + Default + Send>(
+        &self,
+        octree: &Octree,
+        read: impl Fn(&S) -> T + Sync,
+    ) -> Result<Vec<T>> {
         let mut all = vec![T::default(); octree.vertex_count()];
         let groups = self.groups_at(octree).zip(all.par_chunks_mut(TOGETHER));
-        groups.for_each(|(group, all)| all.iter_mut().zip(group).for_each(|(to, (_, sums))| *to = read(&sums)));
-        all
+        groups.try_for_each(|(group, all)| {
+            all.iter_mut().zip(group?).for_each(|(to, (_, sums))| *to = read(&sums));
+            Ok(())
+        })?;
+        Ok(all)
     }
 
     /// The vertices of an octree with their sums, in the order of their ids, in groups of [`TOGETHER`].
-    pub(crate) fn groups_at(&self, octree: &Octree) -> impl IndexedParallelIterator<Item = Vec<([u32; 3], S)>> {
-        let groups = octree.par_vertex_positions().chunks(TOGETHER);
+    pub(crate) fn groups_at(&self, octree: &Octree) -> impl IndexedParallelIterator<Item = Result<Vec<([u32; 3], S)>>> {
+        let groups = octree.par_vertex_positions().chunks(TOGETHER).with_min_len(GROUPS_TOGETHER);
         groups.map_init(
-            || self.sums.reader(),
-            |reader, points| {
+            || (self.sums.reader(), self.runs.reader()),
+            |(reader, runs), points| {
+                let key = |&point: &[u32; 3]| VertexKey::new(point, self.coarseness(point));
                 // All of them are found before the sums of any are read, so that their cache misses overlap.
-                let found: Vec<_> =
-                    points.iter().map(|&point| reader.find(VertexKey::new(point, self.coarseness(point)))).collect();
-                let sums = found.into_iter().map(|sums| sums.copied().unwrap_or_default());
-                points.into_iter().zip(sums).collect()
+                let found: Vec<_> = points.iter().map(|point| reader.find(key(point))).collect();
+                let mut sums: Vec<S> = found.into_iter().map(|sums| sums.copied().unwrap_or_default()).collect();
+                if !self.runs.is_empty() {
+                    for (point, sums) in points.iter().zip(&mut sums) {
+                        *sums += &runs.find(key(point))?;
+                    }
+                }
+                Ok(points.into_iter().zip(sums).collect())
             },
         )
     }
 
-    /// The vertices with more information than `floor`, block by block.
-    fn moved(&self, floor: f64) -> impl ParallelIterator<Item = (BlockCode, u64)> {
-        self.sums.par_masks(move |sums| moves(sums, floor))
+    /// The vertices with more information than `floor`, block by block, in lists.
+    fn moved(&self, floor: f64) -> impl ParallelIterator<Item = Result<Vec<(BlockCode, u64)>>> {
+        if self.runs.is_empty() {
+            Either::Left(self.sums.par_masks(move |sums| moves(sums, floor)).map(Ok))
+        } else {
+            assert!(self.sums.memory() == 0, "no sums are in memory beside the runs");
+            Either::Right(self.runs.par_masks(move |sums| moves(sums, floor)))
+        }
     }
 
     /// The leaves around vertices of these blocks.
-    fn wanted_around(&self, vertices: impl ParallelIterator<Item = (BlockCode, u64)>) -> Wanted {
+    fn wanted_around(&self, lists: impl ParallelIterator<Item = Result<Vec<(BlockCode, u64)>>>) -> Result<Wanted> {
         let none = || Wanted::new(self.lattice.level());
-        let each = vertices.fold(none, |mut wanted, (code, vertices)| {
-            if self.limits.is_unlimited() {
-                // A block of keys here is a brick of the octree's masks.
-                wanted.around_points(code.bits(), vertices);
-            } else {
-                for point in members(code, vertices) {
-                    let around = cells_around(point, self.lattice.level());
-                    around.for_each(|cell| wanted.cell(self.limits.leaf(cell)));
+        let each = lists.try_fold(none, |mut wanted, blocks| {
+            for (code, vertices) in blocks? {
+                if self.limits.is_unlimited() {
+                    // A block of keys here is a brick of the octree's masks.
+                    wanted.around_points(code.bits(), vertices);
+                } else {
+                    for point in members(code, vertices) {
+                        let around = cells_around(point, self.lattice.level());
+                        around.for_each(|cell| wanted.cell(self.limits.leaf(cell)));
+                    }
                 }
             }
-            wanted
+            Ok(wanted)
         });
-        each.reduce(none, |a, b| a | b)
+        each.try_reduce(none, |a, b| Ok(a | b))
     }
 
     /// Vertices of the finest leaves that move by pooling alone and are next to one of those that `moved` by their own
@@ -202,7 +231,7 @@ impl<S: Sums> OctreePosterior<S> {
         });
         let near: Vec<(u64, u64)> = moved.dilated(last).bricks().collect();
         near.into_par_iter().map(move |(brick, vertices)| {
-            let (code, beside) = (BlockCode::finest(brick), vertices & !moved.mask(brick));
+            let (code, beside) = (BlockCode::of(brick), vertices & !moved.mask(brick));
             let of = |i: &u64| beside >> i & 1 == 1 && self.coarseness(code.vertex(*i).point()) == 0;
             (code, (0..64).filter(of).fold(0, |all, i| all | 1 << i))
         })

@@ -16,6 +16,7 @@ use rustc_hash::FxHashMap;
 
 use super::key::{BlockCode, Contribution, Contributions, PARTITIONS, VertexKey};
 use super::pages::{PagedList, expected_spare};
+use crate::Result;
 use crate::posterior::Sums;
 
 /// Where the eight parts of something are in a list of its partition: a block's bricks, or the sums of a brick's
@@ -171,19 +172,37 @@ impl<S: Sums> SparseSums<S> {
         Reader { sums: self, code: None, block: Slots::EMPTY, partition: &self.partitions[0] }
     }
 
-    /// For every block, its code and a mask of the vertices whose sums satisfy `condition`; in parallel.
+    /// For every block, its code and a mask of the vertices whose sums satisfy `condition`; in parallel, a list for each
+    /// partition.
     pub fn par_masks(
         &self,
         condition: impl Fn(&S) -> bool + Send + Sync,
-    ) -> impl ParallelIterator<Item = (BlockCode, u64)> {
-        self.partitions.par_iter().flat_map_iter(move |partition| {
+    ) -> impl ParallelIterator<Item = Vec<(BlockCode, u64)>> {
+        self.partitions.par_iter().map(move |partition| {
             // The sums in the order of memory, blocks in that of their table.
             let fulfils: Vec<bool> = partition.sums.slices().flatten().map(&condition).collect();
-            partition.blocks.iter().map(move |(&code, &block)| {
+            let mask = |(&code, &block)| {
                 let fulfilling = partition.members(block).filter(|(_, slot)| fulfils[*slot as usize]);
                 (code, fulfilling.fold(0, |mask, (i, _)| mask | 1 << i))
-            })
+            };
+            partition.blocks.iter().map(mask).collect()
         })
+    }
+
+    /// Calls `write` with every vertex, in the order of their keys.
+    pub fn in_order(&self, mut write: impl FnMut(VertexKey, S) -> Result<()>) -> Result<()> {
+        let of = |(n, partition): (usize, &Partition<S>)| {
+            partition.blocks.keys().map(move |code| (*code, n as u8)).collect::<Vec<_>>()
+        };
+        let mut blocks: Vec<(BlockCode, u8)> = self.partitions.iter().enumerate().flat_map(of).collect();
+        blocks.par_sort_unstable();
+        for (code, n) in blocks {
+            let partition = &self.partitions[usize::from(n)];
+            for (i, slot) in partition.members(partition.blocks[&code]) {
+                write(code.vertex(i as u64), *partition.sums.get(slot))?;
+            }
+        }
+        Ok(())
     }
 
     /// All vertices with their keys, in parallel.
@@ -224,11 +243,6 @@ impl<S: Sums> SparseSums<S> {
     /// Bytes on the heap.
     pub fn memory(&self) -> usize {
         self.partitions.iter().map(Partition::memory).sum()
-    }
-
-    /// Of these, the bytes that nothing uses yet.
-    pub fn spare(&self) -> usize {
-        self.partitions.iter().map(|partition| partition.sums.spare() + partition.bricks.spare()).sum()
     }
 }
 

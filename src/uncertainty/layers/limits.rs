@@ -29,7 +29,7 @@ impl Layer for MaxLevels {
     }
 
     fn info(&self) -> String {
-        "leaves were kept coarse where rays or memory were few".into()
+        "leaves were kept coarse where rays were few".into()
     }
 }
 

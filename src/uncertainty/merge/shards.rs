@@ -50,9 +50,13 @@ pub fn add(parts: &[impl Part], heads: &[Head], order: &[usize]) -> Result<Uncer
     let mut field = match dense {
         Some(sums) => UncertaintyField::new(record, first.lattice, Support::Dense, sums),
         None => {
-            let octree =
-                posterior.octree(&Refinement::above(floor(&of, &ray_sets), &record.reading(), record.criteria, wanted));
-            UncertaintyField::on_octree(record, first.lattice, posterior, octree, true)
+            let octree = posterior.octree(&Refinement::above(
+                floor(&of, &ray_sets),
+                &record.reading(),
+                record.criteria,
+                wanted,
+            ))?;
+            UncertaintyField::on_octree(record, first.lattice, posterior, octree, true)?
         }
     };
     let mut layers = layers.unwrap_or_default();

@@ -270,8 +270,8 @@ fn values_made_without_sums_are_those_made_with_them() {
             let record = record(&lattice, Covariance::Diagonal, 20);
             let mut posterior = OctreePosterior::limited(lattice, limits.clone());
             posterior.add(&[samples(1.0)]);
-            let octree = posterior.octree(&refinement(&record));
-            UncertaintyField::on_octree(record, lattice, posterior, octree, keeps_sums)
+            let octree = posterior.octree(&refinement(&record)).unwrap();
+            UncertaintyField::on_octree(record, lattice, posterior, octree, keeps_sums).unwrap()
         });
         let [kept, bare] = &fields;
         assert!(kept.sums().is_some() && bare.sums().is_none() && kept.support() == bare.support());

@@ -1,0 +1,173 @@
+//! Where sums go that a budget of memory has no room for.
+
+use std::path::{Path, PathBuf};
+
+use crate::io::place::folder_of;
+use crate::io::remove_leftovers;
+use crate::io::sorted::SortedFile;
+use crate::posterior::{Fill, Posterior, Sums};
+use crate::render::RaySamples;
+use crate::{Error, Result};
+
+/// Bytes of every process beside its model: program, cameras, occupancy grid.
+const PROGRAM: u64 = 48_000_000;
+/// The part of the rest that sums may take. What remains is for rays under way and their contributions, and for sorting
+/// the sums when they leave. The field is made after the last of them have left.
+const SHARE_OF_SUMS: f64 = 0.7;
+/// Least bytes for sums, and for rays under way.
+const LEAST: u64 = 16_000_000;
+/// Runs that are read side by side: files that are open, and pages of each in every thread. If there are as many, they
+/// are merged into one.
+const MOST_RUNS: usize = 64;
+/// What the extension of a run's file begins with.
+const RUN: &str = "run";
+/// Samples that are summed before the room is looked at.
+const SAMPLES: usize = 1 << 16;
+
+/// Bytes of a budget that sums may take, beside a model of so many bytes. They depend on nothing else, so that runs of
+/// sums end after the same rays on every machine.
+pub(super) fn room_for_sums(budget: u64, model: usize) -> usize {
+    (budget.saturating_sub(model as u64 + PROGRAM) as f64 * SHARE_OF_SUMS) as usize
+}
+
+/// The smallest budget of a process that already takes so many bytes, with its model: it has room for some sums, and
+/// for rays under way.
+pub(super) fn least_budget(taken: u64, model: usize) -> u64 {
+    let fixed = model as u64 + PROGRAM;
+    // budget - room >= taken + LEAST
+    let beside = (taken + LEAST) as f64 - SHARE_OF_SUMS * fixed as f64;
+    let beside = (beside / (1.0 - SHARE_OF_SUMS)).max(0.0) as u64;
+    beside.max(fixed + (LEAST as f64 / SHARE_OF_SUMS) as u64)
+}
+
+/// The batches in portions of some [`SAMPLES`] each, whatever the number of threads.
+pub(super) fn portions(batches: &[RaySamples]) -> impl Iterator<Item = &[RaySamples]> {
+    let mut rest = batches;
+    std::iter::from_fn(move || {
+        let mut samples = 0;
+        let portion = rest.iter().take_while(|batch| {
+            let has_room = samples < SAMPLES;
+            samples += batch.positions.len();
+            has_room
+        });
+        let (portion, others) = rest.split_at(portion.count());
+        rest = others;
+        (!portion.is_empty()).then_some(portion)
+    })
+}
+
+/// Where the sums of a run go when they have taken all their room.
+#[derive(Debug, Clone)]
+pub(super) struct Overflow {
+    /// Bytes that sums may take in memory.
+    room: usize,
+    place: Place,
+}
+
+/// Where runs of sums are.
+#[derive(Debug, Clone)]
+enum Place {
+    /// In files without names, in this folder.
+    Temporary(PathBuf),
+    /// Beside this file, a checkpoint that they belong to.
+    Beside(PathBuf),
+}
+
+impl Overflow {
+    /// Of sums that may take `room` bytes. With a checkpoint, runs lie beside it, otherwise in `folder`.
+    pub fn new(room: usize, folder: &Path, checkpoint: Option<&Path>) -> Self {
+        let beside = checkpoint.map(|file| Place::Beside(file.into()));
+        Self { room, place: beside.unwrap_or_else(|| Place::Temporary(folder.into())) }
+    }
+
+    /// Refuses, before the first ray, a folder in which no file can be made.
+    pub fn check(&self) -> Result<()> {
+        match &self.place {
+            Place::Temporary(folder) => SortedFile::<u8>::temporary(folder, |_| Ok(())).map(|_| ()),
+            // The checkpoint is saved there, too.
+            Place::Beside(_) => Ok(()),
+        }
+    }
+
+    /// Writes the sums to a run if they take all their room. Returns whether they did.
+    pub fn spill_if_full(&self, posterior: &mut impl Posterior) -> Result<bool> {
+        let is_full = posterior.memory() >= self.room;
+        if is_full {
+            self.spill(posterior)?;
+        }
+        Ok(is_full)
+    }
+
+    /// Writes what is left in memory to a run, if there are others.
+    pub fn spill_rest(&self, posterior: &mut impl Posterior) -> Result<()> {
+        let is_needed = !posterior.runs().is_empty() && posterior.memory() > 0;
+        if is_needed { self.spill(posterior) } else { Ok(()) }
+    }
+
+    fn spill<P: Posterior>(&self, posterior: &mut P) -> Result<()> {
+        if posterior.runs().len() == MOST_RUNS {
+            let number = next_number(posterior);
+            posterior.merge_runs(|fill| self.write(number, fill))?;
+        }
+        let number = next_number(posterior);
+        posterior.spill(|fill| self.write(number, fill))
+    }
+
+    fn write<S: Sums>(&self, number: u32, fill: Fill<'_, S>) -> Result<SortedFile<S>> {
+        match &self.place {
+            Place::Temporary(folder) => SortedFile::temporary(folder, fill),
+            Place::Beside(checkpoint) => {
+                let path = run_path(checkpoint, number);
+                if path.exists() && !SortedFile::<u8>::is_sorted_file(&path) {
+                    return Err(Error::malformed(&path, "name of a run of sums", "no other file here", "one"));
+                }
+                SortedFile::kept(&path, fill)
+            }
+        }
+    }
+
+    /// The run that a checkpoint names by its number and checksum.
+    pub fn reopen<S: Sums>(&self, [number, checksum]: [u32; 2]) -> Result<SortedFile<S>> {
+        let (Place::Temporary(beside) | Place::Beside(beside)) = &self.place;
+        SortedFile::open(&run_path(beside, number), checksum)
+    }
+}
+
+/// What a checkpoint names runs by: number and checksum.
+pub(super) fn names(posterior: &impl Posterior) -> Vec<[u32; 2]> {
+    posterior.runs().iter().map(|run| [number_of(run.path()).unwrap_or(0), run.checksum()]).collect()
+}
+
+fn next_number(posterior: &impl Posterior) -> u32 {
+    names(posterior).last().map_or(0, |[number, _]| number + 1)
+}
+
+/// The file of a run that belongs to a checkpoint.
+fn run_path(checkpoint: &Path, number: u32) -> PathBuf {
+    let mut path = checkpoint.to_path_buf();
+    path.as_mut_os_string().push(format!(".{RUN}{number}"));
+    path
+}
+
+/// The number in the name of such a file.
+fn number_of(path: &Path) -> Option<u32> {
+    path.extension()?.to_str()?.strip_prefix(RUN)?.parse().ok()
+}
+
+/// Removes the runs beside a checkpoint that are not among those that it `names`, and what is left of one that was being
+/// written: those of a run that is over, or was killed before it saved its state, and those that were merged.
+///
+/// # Errors
+/// If a file cannot be removed.
+pub(super) fn remove_others(checkpoint: &Path, names: &[[u32; 2]]) -> Result<()> {
+    let is_named = |path: &Path| number_of(path).is_some_and(|number| names.iter().any(|name| name[0] == number));
+    let files = std::fs::read_dir(folder_of(checkpoint)).into_iter().flatten().flatten().map(|entry| entry.path());
+    let of_checkpoint =
+        files.filter(|path| number_of(path).is_some() && path.with_extension("").file_name() == checkpoint.file_name());
+    let mut others = of_checkpoint.filter(|path| !is_named(path) && SortedFile::<u8>::is_sorted_file(path));
+    others.try_for_each(|path| std::fs::remove_file(&path).map_err(Error::io(&path, "cannot remove")))?;
+    // At most one behind those that are named, and one of their sums.
+    let next = names.last().map_or(0, |[number, _]| number + 1);
+    (0..next + 2).for_each(|number| remove_leftovers(&run_path(checkpoint, number)));
+    Ok(())
+}

@@ -1,0 +1,103 @@
+//! Sums that leave memory are those of a run that kept them.
+
+use super::*;
+use crate::posterior::Criterion;
+use crate::uncertainty::compare;
+
+/// A run whose sums may take so many bytes in memory, if there is a bound.
+fn run(grid: GridSettings, room: Option<usize>, more: impl Fn(Estimation) -> Estimation) -> Outcome {
+    let (field, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
+    let estimation = more(Estimation::new(&field, &cameras).rays(settings(20_000)).grid(grid));
+    let mut run = estimation.prepare().unwrap();
+    run.room = room;
+    run.finish().unwrap()
+}
+
+fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
+}
+
+#[test]
+fn a_field_has_the_vertices_and_values_of_a_run_without_a_budget() {
+    let fine = GridSettings::default().level(8);
+    let limited = fine.criteria([Criterion::RayCount].into_iter().collect());
+    for (grid, room) in [(fine, 4 << 20), (fine.keep_sums(false), 2 << 20), (limited, 1 << 20)] {
+        let free = run(grid, None, |run| run);
+        let bound = [1, 3].map(|threads| on_threads(threads, || run(grid, Some(room), |run| run)));
+        assert_eq!(free.disk_bytes, 0);
+        for Outcome { field, progress, sums_bytes, disk_bytes, .. } in &bound {
+            // Sums are looked at after rays with 65,536 samples.
+            assert!((room..free.sums_bytes).contains(sums_bytes), "{sums_bytes} bytes of {}", free.sums_bytes);
+            assert!(*disk_bytes > 2 * room as u64, "{disk_bytes} bytes on disk");
+            assert!(field.support() == free.field.support() && *progress == free.progress);
+            assert!(field.rays() == free.field.rays());
+            // n ε of a sum, rounded to f32.
+            assert!(compare(field, &free.field, 20_000, 1).unwrap().in_box.unwrap().max < 1e-6);
+        }
+        assert!(bound[0].field == bound[1].field && bound[0].disk_bytes == bound[1].disk_bytes, "for any threads");
+    }
+}
+
+/// More runs than are read side by side: they are merged under way, also in a run that is resumed behind that.
+#[test]
+fn many_runs_are_merged_under_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.chk");
+    let (field, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
+    let of = |room: Option<usize>, monitor: &dyn Monitor, checkpoint: Option<Checkpoint>| {
+        let grid = GridSettings::default().level(4).keep_sums(false);
+        let estimation = Estimation::new(&field, &cameras).rays(settings(150_000)).grid(grid).monitor(monitor);
+        let mut run = checkpoint.into_iter().fold(estimation, Estimation::checkpoint).prepare().unwrap();
+        run.room = room;
+        run.finish()
+    };
+    let [free, bound] = [None, Some(1)].map(|room| of(room, &Silent, None).unwrap());
+    assert!(compare(&free.field, &bound.field, 20_000, 1).unwrap().in_box.unwrap().max < 1e-6);
+    assert!(free.field.rays() == bound.field.rays());
+    let after = || After(AtomicU64::new(140_000));
+    assert!(matches!(of(Some(1), &after(), Some(Checkpoint::new(&file))), Err(Error::Interrupted)));
+    let names = || std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
+    // The checkpoint, the run of the first 64, and those after it.
+    assert!(names().any(|name| name == "run.chk.run64") && (2..20).contains(&names().count()), "{:?}", names());
+    let again = of(Some(1), &Silent, Some(Checkpoint::new(&file))).unwrap();
+    assert!(again.field == bound.field);
+    Checkpoint::new(&file).remove(None, &again.field).unwrap();
+    assert_eq!(names().count(), 0);
+}
+
+#[test]
+fn a_resumed_run_has_the_same_bits_and_leaves_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.chk");
+    let runs = || (0..).take_while(|n| folder.path().join(format!("run.chk.run{n}")).exists()).count();
+    let (grid, room) = (GridSettings::default().level(8), 4 << 20);
+    let whole = run(grid, Some(room), |run| run);
+    let (field, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
+    let again = |monitor: &dyn Monitor| {
+        let estimation = Estimation::new(&field, &cameras).rays(settings(20_000)).grid(grid).monitor(monitor);
+        let mut run = estimation.checkpoint(Checkpoint::new(&file)).prepare().unwrap();
+        run.room = Some(room);
+        run.finish()
+    };
+    // What a run left that was killed before its first state was saved.
+    std::fs::write(folder.path().join("other"), "").unwrap();
+    let mut found = 0;
+    for rays in [8_000, 15_000] {
+        assert!(matches!(again(&After(AtomicU64::new(rays))), Err(Error::Interrupted)));
+        assert!(runs() > found, "{} runs after {rays} rays", runs());
+        found = runs();
+    }
+    // A run of sums that was altered is found before or when it is read.
+    let first = folder.path().join("run.chk.run0");
+    let bytes = std::fs::read(&first).unwrap();
+    let mut altered = bytes.clone();
+    altered[4321] ^= 1;
+    std::fs::write(&first, altered).unwrap();
+    let error = again(&Silent).err().unwrap().to_string();
+    assert!(error.contains("run.chk.run0") && error.contains("altered"), "{error}");
+    std::fs::write(&first, bytes).unwrap();
+    let outcome = again(&Silent).unwrap();
+    assert!(outcome.field == whole.field && outcome.disk_bytes == whole.disk_bytes && runs() > found);
+    Checkpoint::new(&file).remove(None, &outcome.field).unwrap();
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing but what was not its own");
+}
