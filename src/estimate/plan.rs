@@ -127,6 +127,8 @@ impl Planner {
     pub const PILOT: u64 = 16_384;
     /// Rays of the run per ray of a pilot that only predicts.
     pub const CHEAP: u64 = 32;
+    /// Least number of its rays. Of a few dozen, the vertices of a run on a fine lattice were foreseen to be a third.
+    const LEAST: u64 = 1024;
 
     /// Runs a pilot with the run's settings but another seed. All shards of a run use the same pilot.
     ///
@@ -142,7 +144,8 @@ impl Planner {
     ) -> Result<Self> {
         // Of limits, few rays would know too little.
         let is_limited = settings.is_limited();
-        let pilot = if is_limited { rays.rays } else { rays.rays.div_ceil(Self::CHEAP) };
+        let pilot =
+            if is_limited { rays.rays } else { rays.rays.div_ceil(Self::CHEAP).max(Self::LEAST).min(rays.rays) };
         let pilot = Shard::whole(Self::PILOT.min(pilot));
         let mut census = SpeciesEstimate::new(lattice, if is_limited { usize::MAX } else { MAX_SPECIES }, is_limited);
         let mut outside = 0.0_f64;
