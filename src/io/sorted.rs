@@ -283,7 +283,7 @@ impl<T: Item> Cursor<'_, T> {
 
     /// Goes to the first record of the page whose key is `key` or more. Usually it is one of the next.
     fn seek(&mut self, key: u64) {
-        if self.keys.get(self.at).is_none_or(|next| *next > key) {
+        if self.at > 0 && self.keys[self.at - 1] >= key {
             self.at = 0;
         }
         let (mut low, mut step) = (self.at, 1);
