@@ -51,8 +51,9 @@ fn a_budget_is_foreseen_and_changes_no_vertex() {
     let report: serde_json::Value = serde_json::from_str(&said).unwrap();
     let [disk, sums] = ["disk_bytes", "posterior_bytes"].map(|key| report[key].as_f64().unwrap());
     assert!(disk > 3e7 && (0.5..=2.0).contains(&(foreseen / disk)), "{disk} bytes on disk, {foreseen} foreseen");
-    // 70 % of what is left beside 48 MB and the model, and what some thousand rays add.
-    assert!((3e7..5e7).contains(&sums), "{sums} bytes in memory");
+    // 70 % of what is left beside 48 MB and the model, and what rays with 65,536 samples add at most: at this level
+    // each sample touches eight vertices of some 40 bytes.
+    assert!((3.6e7..3.7e7 + 2.1e7).contains(&sums), "{sums} bytes in memory");
     assert_eq!(std::fs::read_dir(folder.join("disk")).unwrap().count(), 0);
     let [free, bound] = ["free.oct", "bound.oct"].map(|name| read(folder, name));
     assert_eq!(free.support(), bound.support());

@@ -141,7 +141,6 @@ fn what_splats_do_not_have_is_refused_by_name() {
         "--cutoff 1e-6",
         "--occupancy 64",
         "--audit",
-        "--memory 1GiB",
         "--pooling auto",
         "--target-error 0.1",
         "--refine density",
