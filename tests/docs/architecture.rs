@@ -226,8 +226,7 @@ fn imports_go_in_no_circle() {
 
 #[test]
 fn files_that_pages_name_exist() {
-    for page in ["docs/architecture.md", "docs/src/how-it-works.md", "docs/src/formats.md", "docs/src/large-scenes.md"]
-    {
+    for page in ["docs/architecture.md", "docs/src/how-it-works.md", "docs/src/formats.md"] {
         let text = read(&root().join(page));
         let mut named = 0;
         for (number, line) in text.lines().enumerate() {

@@ -47,7 +47,7 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
     let part = |i: usize| parts.get(i).copied().unwrap_or_default();
     match kind {
         Kind::Field => container(b"OCTOBAY\n", 1, &FIELD, &parts),
-        Kind::Checkpoint => container(b"OCTOCHK\n", 2, &CHECKPOINT, &parts),
+        Kind::Checkpoint => container(b"OCTOCHK\n", 3, &CHECKPOINT, &parts),
         Kind::Samples => archive(&SAMPLES, &parts),
         Kind::Voxels => archive(&VOXELS, &parts),
         Kind::Safetensors => {
