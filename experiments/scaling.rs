@@ -225,7 +225,10 @@ fn unbounded(work: &Work, settings: &RaySettings) -> Result<(String, String)> {
 }
 
 fn table(cases: &[Case], rows: &[Row]) -> String {
-    let mut table = Table::new(&[
+    // Without a budget nothing leaves memory, and there is no other field to compare with.
+    let has_budget = cases.iter().any(|(_, _, memory, _)| memory.is_some());
+    let of_budget = |cells: Vec<String>| if has_budget { cells } else { Vec::new() };
+    let heads = [
         "level",
         "cells per axis",
         "rays",
@@ -236,16 +239,16 @@ fn table(cases: &[Case], rows: &[Row]) -> String {
         "structure, B / vertex",
         "dense f32 grid, bytes",
         "dense : field",
-        "sums in memory, bytes",
-        "sums on disk, bytes",
-        "vertices, deviations (CRC-32)",
-        "peak of the process, MB",
-        "time, s",
-        "query, ns",
-    ]);
+        "sums, bytes",
+    ]
+    .map(String::from);
+    let more = of_budget(vec!["on disk, bytes".into(), "vertices, deviations (CRC-32)".into()]);
+    let last = ["peak of the process, MB", "time, s", "query, ns"].map(String::from);
+    let heads = [heads.to_vec(), more, last.to_vec()].concat();
+    let mut table = Table::new(&heads.iter().map(String::as_str).collect::<Vec<_>>());
     for ((level, rays, memory, keeps_sums), row) in cases.iter().zip(rows) {
         let dense = row.dense_bytes as f64;
-        table.row(&[
+        let cells = vec![
             level.to_string(),
             (1_u64 << level).to_string(),
             whole(*rays as f64),
@@ -257,12 +260,11 @@ fn table(cases: &[Case], rows: &[Row]) -> String {
             whole(dense),
             whole(dense / row.query_bytes as f64),
             whole(row.sums_bytes as f64),
-            whole(row.disk_bytes as f64),
-            row.checksums.map(|sum| format!("{sum:08x}")).join(", "),
-            whole(row.peak as f64 / 1e6),
-            format!("{:.1}", row.seconds),
-            whole(row.nanoseconds),
-        ]);
+        ];
+        let sums = row.checksums.map(|sum| format!("{sum:08x}")).join(", ");
+        let more = of_budget(vec![whole(row.disk_bytes as f64), sums]);
+        let last = vec![whole(row.peak as f64 / 1e6), format!("{:.1}", row.seconds), whole(row.nanoseconds)];
+        table.row(&[cells, more, last].concat());
     }
     table.text().into()
 }
