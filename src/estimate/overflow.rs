@@ -139,7 +139,7 @@ pub(super) fn names(posterior: &impl Posterior) -> Vec<[u32; 2]> {
 }
 
 fn next_number(posterior: &impl Posterior) -> u32 {
-    names(posterior).last().map_or(0, |[number, _]| number + 1)
+    names(posterior).last().map_or(0, |[number, _]| number.saturating_add(1))
 }
 
 /// The file of a run that belongs to a checkpoint.
@@ -154,20 +154,21 @@ fn number_of(path: &Path) -> Option<u32> {
     path.extension()?.to_str()?.strip_prefix(RUN)?.parse().ok()
 }
 
-/// Removes the runs beside a checkpoint that are not among those that it `names`, and what is left of one that was being
-/// written: those of a run that is over, or was killed before it saved its state, and those that were merged.
+/// Removes the runs beside a checkpoint that are not among those that it `names`: those of a run that is over or was
+/// killed before it saved its state, and those that were merged. Removes what is left of one that was being written, too.
 ///
 /// # Errors
 /// If a file cannot be removed.
 pub(super) fn remove_others(checkpoint: &Path, names: &[[u32; 2]]) -> Result<()> {
-    let is_named = |path: &Path| number_of(path).is_some_and(|number| names.iter().any(|name| name[0] == number));
     let files = std::fs::read_dir(folder_of(checkpoint)).into_iter().flatten().flatten().map(|entry| entry.path());
-    let of_checkpoint =
-        files.filter(|path| number_of(path).is_some() && path.with_extension("").file_name() == checkpoint.file_name());
-    let mut others = of_checkpoint.filter(|path| !is_named(path) && SortedFile::<u8>::is_sorted_file(path));
-    others.try_for_each(|path| std::fs::remove_file(&path).map_err(Error::io(&path, "cannot remove")))?;
-    // At most one behind those that are named, and one of their sums.
-    let next = names.last().map_or(0, |[number, _]| number + 1);
-    (0..next + 2).for_each(|number| remove_leftovers(&run_path(checkpoint, number)));
+    let of_checkpoint = files.filter(|path| path.with_extension("").file_name() == checkpoint.file_name());
+    let runs: Vec<(u32, PathBuf)> = of_checkpoint.filter_map(|path| Some((number_of(&path)?, path))).collect();
+    let is_named = |number: u32| names.iter().any(|name| name[0] == number);
+    let mut others = runs.iter().filter(|(number, path)| !is_named(*number) && SortedFile::<u8>::is_sorted_file(path));
+    others.try_for_each(|(_, path)| std::fs::remove_file(path).map_err(Error::io(path, "cannot remove")))?;
+    // Runs are written one after the other, and before the 65th that of their sums.
+    let last = runs.iter().map(|(number, _)| *number).chain(names.iter().map(|name| name[0])).max();
+    let next = last.map_or(0, |number| number.saturating_add(1));
+    [next, next.saturating_add(1)].into_iter().for_each(|number| remove_leftovers(&run_path(checkpoint, number)));
     Ok(())
 }

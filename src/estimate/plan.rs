@@ -51,9 +51,9 @@ pub struct Plan {
     pub vertices: f64,
     /// Expected number of the field's vertices without limits.
     pub vertices_unlimited: f64,
-    /// Expected size of the sums when all rays are drawn, bytes.
+    /// Expected largest size of the sums in memory, bytes.
     pub summing: f64,
-    /// Expected size of what is added to the sums to finish the field, bytes.
+    /// Expected size of what finishing the field takes, bytes: beside the sums, or once they have left memory.
     pub finishing: f64,
     /// Expected room beside the sums that is taken and not used, bytes.
     pub spare: f64,
@@ -75,7 +75,10 @@ impl Plan {
     /// Expected peak memory of the process, bytes.
     #[must_use]
     pub fn peak(&self) -> f64 {
-        self.outside + self.picture.max(self.spare + self.summing + self.finishing)
+        let sums = self.spare + self.summing;
+        // If any sums leave memory, the last do before the field is made.
+        let run = if self.disk > 0.0 { sums.max(self.finishing) } else { sums + self.finishing };
+        self.outside + self.picture.max(run)
     }
 }
 
@@ -109,8 +112,6 @@ pub struct Planner {
     settings: GridSettings,
     lattice: Lattice,
     census: SpeciesEstimate,
-    /// Expected number of the field's vertices without limits.
-    vertices_unlimited: f64,
     /// Rays of the whole run, and of this part of it, per ray of the pilot.
     scale: f64,
     own_scale: f64,
@@ -166,12 +167,10 @@ impl Planner {
         let lists = LISTS * list_bytes(settings.entries(is_part), census.longest_batch()) as f64;
         let scale = rays.rays as f64 / pilot.rays as f64;
         let own_scale = scale / shard.of as f64;
-        let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level())).vertices;
         Ok(Self {
             settings,
             lattice,
             census,
-            vertices_unlimited,
             scale,
             own_scale,
             is_part,
@@ -188,10 +187,11 @@ impl Planner {
         })
     }
 
-    /// The planner of a run that decodes a picture of so many bytes.
+    /// The planner of a run that decodes a picture of so many bytes, unless the budget has no room for it.
     #[must_use]
     pub fn with_picture(self, bytes: u64) -> Self {
-        Self { picture: bytes as f64, ..self }
+        let room = self.settings.memory.map_or(f64::INFINITY, |budget| budget as f64 - self.outside);
+        Self { picture: Some(bytes as f64).filter(|&bytes| bytes <= room).unwrap_or(0.0), ..self }
     }
 
     /// The planner of a run whose sums may take so many bytes in memory.
@@ -204,12 +204,13 @@ impl Planner {
     #[must_use]
     pub fn plan(&self) -> Plan {
         let rays_per_vertex = self.settings.rays_per_vertex();
+        let (counts, unlimited) = (self.census.counts(), MaxLevels::none(self.lattice.level()));
         let limits = if rays_per_vertex > 0.0 && self.settings.grid == GridKind::Octree {
-            self.census.counts().limits(self.scale, rays_per_vertex)
+            counts.limits(self.scale, rays_per_vertex)
         } else {
-            MaxLevels::none(self.lattice.level())
+            unlimited.clone()
         };
-        let (vertices, mut summing, mut spare, disk) = match self.settings.grid {
+        let (vertices, summing, spare, disk) = match self.settings.grid {
             GridKind::Dense => {
                 let summing = DensePosterior::required_memory(&self.lattice) as f64;
                 (self.lattice.dense_vertices() as f64, summing, 0.0, 0.0)
@@ -225,21 +226,16 @@ impl Planner {
             (false, true) => size_of::<FactoredSums>() as f64,
             (false, false) => 0.0,
         };
-        let finishing = vertices * (VALUES + structure + f64::max(building, gathered as f64));
-        if disk > 0.0 {
-            // The last sums leave memory before the field is made.
-            (summing, spare) = ((summing - finishing).max(0.0), 0.0);
-        }
         Plan {
-            given_up: self.census.counts().shares(&limits),
+            given_up: counts.shares(&limits),
             // Limits are made in a table twice as large.
             outside: self.outside + 3.0 * limits.heap_bytes() as f64,
             limits,
             rays_per_vertex,
             vertices,
-            vertices_unlimited: self.vertices_unlimited,
+            vertices_unlimited: self.census.needs(self.own_scale, &unlimited).vertices,
             summing,
-            finishing,
+            finishing: vertices * (VALUES + structure + f64::max(building, gathered as f64)),
             spare,
             disk,
             picture: self.picture,

@@ -90,7 +90,7 @@ impl<'a> Run<'a> {
         Ok(run)
     }
 
-    /// Refuses a budget of memory of which the process takes too much beside its sums already.
+    /// Refuses a budget that leaves too little room beside what the process already takes.
     fn check_budget(&self) -> Result<()> {
         let GridSettings { grid, memory: Some(budget), .. } = self.settings.grid else { return Ok(()) };
         let (model, taken) = (self.stream.source.memory(), resident().unwrap_or(0));
@@ -124,7 +124,7 @@ impl<'a> Run<'a> {
     }
 
     /// Predicts what the run will need: the plan that limits it or, if nothing does, the
-    /// prediction of a pilot of 16,384 rays.
+    /// prediction of a pilot of at most 16,384 rays.
     ///
     /// # Errors
     /// As [`RayStream::run`].

@@ -236,7 +236,7 @@ fn parts_under_a_budget_merge_to_the_whole() {
 }
 
 #[test]
-fn a_picture_is_part_of_the_plan() {
+fn a_picture_is_part_of_the_plan_if_there_is_room_for_it() {
     let (scene, cameras) = (ClosedForm::ball(), ClosedForm::half_circle(2, [16; 2]));
     let run = |bytes: u64, memory: Option<u64>| {
         let rays = RaySettings::default().rays(600).occupancy(16);
@@ -248,6 +248,7 @@ fn a_picture_is_part_of_the_plan() {
     assert!(without.peak() < without.outside + 2e7 && with.peak() == with.outside + f64::from(1 << 30), "{with:?}");
     let budget = 4 << 30;
     assert!(plan(1 << 30, Some(budget)).peak() > f64::from(1 << 30));
+    assert!(plan(budget, Some(budget)).peak() < f64::from(1 << 30));
     let room = run(0, Some(budget)).room_for_pictures().unwrap();
     assert!(room < budget && room > budget / 2, "{room}");
     assert_eq!(run(0, None).room_for_pictures(), None);

@@ -173,14 +173,13 @@ impl<S: Sums> OctreePosterior<S> {
             || (self.sums.reader(), self.runs.reader()),
             |(reader, runs), points| {
                 let key = |&point: &[u32; 3]| VertexKey::new(point, self.coarseness(point));
-                // All of them are found before the sums of any are read, so that their cache misses overlap.
-                let found: Vec<_> = points.iter().map(|point| reader.find(key(point))).collect();
-                let mut sums: Vec<S> = found.into_iter().map(|sums| sums.copied().unwrap_or_default()).collect();
-                if !self.runs.is_empty() {
-                    for (point, sums) in points.iter().zip(&mut sums) {
-                        *sums += &runs.find(key(point))?;
-                    }
-                }
+                let sums: Vec<S> = if self.runs.is_empty() {
+                    // All of them are found before the sums of any are read, so that their cache misses overlap.
+                    let found: Vec<_> = points.iter().map(|point| reader.find(key(point))).collect();
+                    found.into_iter().map(|sums| sums.copied().unwrap_or_default()).collect()
+                } else {
+                    points.iter().map(|point| runs.find(key(point))).collect::<Result<_>>()?
+                };
                 Ok(points.into_iter().zip(sums).collect())
             },
         )

@@ -24,7 +24,7 @@ fn color_spread(lattice: &Lattice) -> ColorSpread {
     sums.finish().unwrap()
 }
 
-/// A field of the rays of a shard with all layers, of which limits and a dense grid exclude each other.
+/// A field of a shard's rays with all layers. Limits and a dense grid exclude each other.
 fn field(seed: u64, shard: Shard, is_dense: bool) -> UncertaintyField {
     let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
     let data = DataScale::new(1000, 0.02, 0.05).unwrap();
