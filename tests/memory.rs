@@ -146,6 +146,10 @@ fn a_budget_bounds_the_peak_of_the_process() {
     let disk = keeps("scene:courtyard --rays 100k", &[(8, 100e6), (9, 150e6), (10, 500e6)]);
     let more = keeps("scene:city --rays 200k", &[(10, 100e6), (12, 200e6)]);
     assert!(disk > 3e8 && more > 3e8, "what the test is for: {disk} and {more} bytes on disk");
+    // Several sets of sums.
+    let groups = keeps("scene:courtyard --rays 100k --error-bars 4", &[(9, 150e6)]);
+    let halves = keeps("scene:city --rays 200k --target-error 0.01", &[(10, 150e6)]);
+    assert!(groups > 1e8 && halves > 1e8, "what the test is for: {groups} and {halves} bytes on disk");
 }
 
 /// Models of other kinds, of which some need much memory beside the sums.
@@ -183,6 +187,8 @@ fn peak_file_and_disk_are_foreseen_within_a_factor_of_two() {
         "scene:city --level 10 --rays 100000",
         "scene:courtyard --level 11 --rays 50000 --memory 200MB",
         "scene:city --level 12 --rays 100000 --memory 200MB",
+        "scene:courtyard --level 9 --rays 50000 --error-bars 4",
+        "scene:courtyard --level 10 --rays 50000 --error-bars 4 --memory 150MB",
     ] {
         let (expected, found) = (foreseen(args), measure(args));
         for (what, expected, found) in [

@@ -7,7 +7,7 @@ use octobayes::glam::Vec3;
 use octobayes::rays::{Gathered, MissingShards, SamplesReader};
 use octobayes::render::{RaySample, RaySamples};
 use octobayes::session::{Accumulation, TrainingPixels, check_fields};
-use octobayes::uncertainty::{self, UncertaintyField};
+use octobayes::uncertainty::{self, Merging, UncertaintyField};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -44,15 +44,14 @@ pub fn merge(
 ) -> PyResult<(Uncertainty, Vec<Said>)> {
     let parts: Vec<_> = fields.iter().map(|field| field.get().field.clone()).collect();
     let joined = without_python(py, || {
-        let parts: Vec<UncertaintyField> = parts.iter().map(|part| (**part).clone()).collect();
-        if error_bars { uncertainty::merge_with_error_bars(&parts) } else { uncertainty::merge(&parts) }
+        let parts: Vec<&UncertaintyField> = parts.iter().map(|part| &**part).collect();
+        Merging::default().keep_sums(keep_sums).error_bars(error_bars).join(&parts)
     })?;
     let field = joined.or_raise()?;
     let missing = MissingShards::beside(field.ray_sets());
     let warning =
         |run: &MissingShards| (format!("the run over {} rays is not complete: {run} missing", run.rays), false);
     let warnings = missing.iter().map(warning).collect();
-    let field = if keep_sums { field } else { without_python(py, || field.for_queries())? };
     Ok((field.into(), warnings))
 }
 

@@ -8,15 +8,16 @@ use super::files::CommandFiles;
 use super::options::check_field_name;
 use super::report;
 use crate::Result;
+use crate::io::place::folder_of;
 use crate::rays::MissingShards;
-use crate::uncertainty::{UncertaintyField, merge, merge_with_error_bars};
+use crate::uncertainty::{Merging, UncertaintyField};
 
 /// Join fields of the same box, level and record that were computed from different rays
 ///
 /// The result is what one run over all the rays gives, up to the order of summation and the fields' tolerance. So
 /// any scheduler can split a job over machines. Shards keep what this needs; whole runs do with `--keep-sums`. If
-/// shards of a run are missing, a warning names them. One part at a time is in memory. Error bars of the parts are
-/// dropped.
+/// shards of a run are missing, a warning names them. Sums are read from the files and go to disk again, so that memory
+/// holds the joined field and little else. Error bars of the parts are dropped.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: for i in 0 1 2 3; do octobayes uncertainty model.npz --cameras transforms.json --shard $i/4 \
@@ -42,6 +43,10 @@ pub struct Args {
     #[arg(long)]
     error_bars: bool,
 
+    /// Folder for the sums that memory has no room for [default: that of the output]
+    #[arg(long, value_name = "DIR")]
+    scratch: Option<PathBuf>,
+
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -52,7 +57,9 @@ impl Args {
     pub fn run(self) -> Result<()> {
         CommandFiles::default().inputs("FIELD", &self.fields).output("--output", &self.output).check()?;
         check_field_name(&self.output)?;
-        let field = if self.error_bars { merge_with_error_bars(&self.fields) } else { merge(&self.fields) }?;
+        let scratch = self.scratch.clone().unwrap_or_else(|| folder_of(&self.output).to_path_buf());
+        let merging = Merging::default().keep_sums(self.keep_sums).error_bars(self.error_bars).scratch(scratch);
+        let field = merging.join(&self.fields)?;
         let mut parts = self.fields.iter().map(|path| UncertaintyField::has_error_bars(path));
         if !self.error_bars && parts.any(|has| matches!(has, Ok(true))) {
             announce!(
@@ -60,7 +67,6 @@ impl Args {
                  --error-bars compares the fields"
             );
         }
-        let field = if self.keep_sums { field } else { field.for_queries() };
         let missing = MissingShards::beside(field.ray_sets());
         field.write(&self.output)?;
         for run in &missing {

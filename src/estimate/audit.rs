@@ -6,14 +6,12 @@
 //! step. The error of a field consists of these costs, the tolerance, which is guaranteed, and what the number of rays
 //! leaves open ([`SamplingError`]).
 
-use rayon::prelude::*;
-
-use super::builder::{Builder, Finish};
+use super::builder::Builder;
 use super::{Estimation, GridSettings, RaySettings, SamplingError};
 use crate::geometry::Lattice;
 use crate::rays::{RayStream, RunProgress, Shard};
 use crate::render::GradientMethod;
-use crate::uncertainty::MOVED;
+use crate::uncertainty::{Finish, MOVED};
 use crate::{Error, Result};
 
 /// Effect of the approximations on log10 U, at vertices that the audited rays moved by more than half a decade.
@@ -71,7 +69,7 @@ impl Audit {
         };
         let sums = |rays: RaySettings| sums_of(&run.stream(&rays, lattice)?);
         let own = sums_of(stream)?;
-        let cutoff = own.differs(&sums(RaySettings { cutoff: 0.0, ..*rays })?, count);
+        let cutoff = own.differs(&sums(RaySettings { cutoff: 0.0, ..*rays })?, count)?;
         let better = match (rays.gradient.of(field)?, field.differentiable()) {
             (Some(_), _) => None,
             (None, Some(_)) => Some(RaySettings { step: None, gradient: GradientMethod::Analytic, ..*rays }),
@@ -82,9 +80,9 @@ impl Audit {
                 Some(RaySettings { step, gradient, ..*rays })
             }
         };
-        let derivatives = better.map(|better| sums(better).map(|better| own.differs(&better, count))).transpose()?;
+        let derivatives = better.map(|better| own.differs(&sums(better)?, count)).transpose()?;
         let step = rays.march_step.unwrap_or_else(|| field.suggested_step()) / MarchShift::FINER;
-        let finer = own.pairs(&sums(RaySettings { march_step: Some(step), ..*rays })?, count);
+        let finer = own.pairs(&sums(RaySettings { march_step: Some(step), ..*rays })?, count)?;
         let shift = finer.iter().map(|(own, finer)| finer - own).sum::<f64>() / finer.len().max(1) as f64;
         let SamplingError { vertices, percentile_95, .. } = SamplingError::from_pairs(&finer);
         Ok(Self { rays: count, cutoff, derivatives, march: MarchShift { vertices, shift, percentile_95 } })
@@ -93,18 +91,20 @@ impl Audit {
 
 impl<P: Finish> Builder<P> {
     /// log10 U by two treatments of the same `rays`, at vertices that either moves by more than half a decade.
-    fn pairs(&self, other: &Self, rays: u64) -> Vec<(f64, f64)> {
+    fn pairs(&self, other: &Self, rays: u64) -> Result<Vec<(f64, f64)>> {
         let lambda = self.settings().prior_precision(self.lattice());
         let covariance = self.settings().covariance;
         let moved = covariance.prior(lambda).log10() - MOVED;
         let log10 = |sums| covariance.deviation(&sums, rays, lambda).log10();
-        let pairs = self.paired(other).into_par_iter().map(|(mine, theirs)| (log10(mine), log10(theirs)));
-        pairs.filter(|(a, b)| a.min(*b) < moved).collect()
+        self.paired(other, |mine, theirs| {
+            let (a, b) = (log10(mine), log10(theirs));
+            (a.min(b) < moved).then_some((a, b))
+        })
     }
 
     /// The difference between the two.
-    fn differs(&self, other: &Self, rays: u64) -> SamplingError {
-        SamplingError::from_pairs(&self.pairs(other, rays))
+    fn differs(&self, other: &Self, rays: u64) -> Result<SamplingError> {
+        Ok(SamplingError::from_pairs(&self.pairs(other, rays)?))
     }
 }
 

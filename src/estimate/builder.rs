@@ -5,14 +5,14 @@ use std::ops::AddAssign;
 use std::path::Path;
 
 use super::checkpoint::{self, RunKey, State};
-use super::overflow::{self, Overflow};
 use super::{GridKind, GridSettings, Plan};
 use crate::geometry::{Domain, Lattice};
-use crate::octree::{Cell, MaxLevels, Octree, morton};
-use crate::posterior::{DensePosterior, OctreePosterior, Posterior, RayCoverage, Refinement, Sums, VertexSums};
+use crate::octree::{Cell, MaxLevels, morton};
+use crate::posterior::overflow::{self, Overflow};
+use crate::posterior::{RayCoverage, Refinement, VertexSums};
 use crate::rays::{RaySet, RayStream, RunProgress, SURFACE_WEIGHT, Shard};
 use crate::render::{RaySamples, VolumeRenderer};
-use crate::uncertainty::{RunRecord, Support, UncertaintyField};
+use crate::uncertainty::{Finish, RunRecord, UncertaintyField};
 use crate::{Error, Result};
 
 /// The source of a field's numbers: the part of its record that the grid does not know.
@@ -44,30 +44,6 @@ fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
     }
     let cell = |code| Cell { level, index: morton::decode(code) };
     Ok((0..1_u64 << (3 * u32::from(level))).map(cell).collect())
-}
-
-/// Sums from which a field can be computed.
-pub(super) trait Finish: Posterior + Clone {
-    /// The field at these vertices of the sums, made of a copy of them or straight from them.
-    fn field(
-        self,
-        record: RunRecord,
-        lattice: Lattice,
-        at: Self::Vertices,
-        gathers_sums: bool,
-    ) -> Result<UncertaintyField>;
-}
-
-impl Finish for DensePosterior {
-    fn field(self, record: RunRecord, lattice: Lattice, (): (), _gathers_sums: bool) -> Result<UncertaintyField> {
-        Ok(UncertaintyField::new(record, lattice, Support::Dense, self.into_sums()))
-    }
-}
-
-impl<S: Sums> Finish for OctreePosterior<S> {
-    fn field(self, record: RunRecord, lattice: Lattice, at: Octree, gathers_sums: bool) -> Result<UncertaintyField> {
-        UncertaintyField::on_octree(record, lattice, self, at, gathers_sums)
-    }
 }
 
 /// A field under construction, on one kind of grid.
@@ -126,6 +102,29 @@ impl<P: Finish> Builder<P> {
     /// If the run cannot be written.
     pub fn spill_rest(&mut self) -> Result<()> {
         self.overflow.as_ref().map_or(Ok(()), |overflow| overflow.spill_rest(&mut self.posterior))
+    }
+
+    /// Writes all sums to one run if there is a budget: those of other groups of rays need its room.
+    ///
+    /// # Errors
+    /// If the run cannot be written.
+    pub fn spill_to_one(&mut self) -> Result<()> {
+        self.overflow.as_ref().map_or(Ok(()), |overflow| overflow.spill_to_one(&mut self.posterior))
+    }
+
+    /// Writes the last sums of two builders to runs if those of either left memory, or a copy of them is to be made
+    /// within a budget.
+    ///
+    /// # Errors
+    /// If a run cannot be written.
+    pub fn spill_both(builders: [&mut Self; 2], is_copied: bool) -> Result<()> {
+        let have_left = builders.iter().any(|builder| !builder.posterior.runs().is_empty());
+        for builder in builders {
+            if let Some(overflow) = builder.overflow.as_ref().filter(|_| have_left || is_copied) {
+                overflow.spill(&mut builder.posterior)?;
+            }
+        }
+        Ok(())
     }
 
     /// Size of the sums that left memory, bytes.
@@ -272,9 +271,13 @@ impl<P: Finish> Builder<P> {
         &self.settings
     }
 
-    /// The sums of this builder and of another on the same leaves, at every vertex that rays touched in either.
-    pub fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {
-        self.posterior.paired(&other.posterior)
+    /// As [`paired`](crate::posterior::Posterior::paired).
+    pub fn paired<T: Send>(
+        &self,
+        other: &Self,
+        read: impl Fn(VertexSums, VertexSums) -> Option<T> + Send + Sync,
+    ) -> Result<Vec<T>> {
+        self.posterior.paired(&other.posterior, read)
     }
 
     /// An empty builder with the same settings and limits.
@@ -333,13 +336,7 @@ impl<P: Finish> Builder<P> {
     /// # Errors
     /// If sums that left memory cannot be read.
     pub fn finish(mut self, source: &FieldSource) -> Result<UncertaintyField> {
-        let vertices = self.vertices(source)?;
-        self.finish_at(vertices, source)
-    }
-
-    /// [`Builder::finish`] at the [vertices](Builder::vertices) that were found for it.
-    fn finish_at(self, vertices: P::Vertices, source: &FieldSource) -> Result<UncertaintyField> {
-        let record = self.record(source);
+        let (vertices, record) = (self.vertices(source)?, self.record(source));
         let Self { settings, lattice, posterior, surface, ray_coverage, wanted, .. } = self;
         drop(wanted);
         let gathers_sums = settings.gathers_sums(record.is_part());
@@ -351,10 +348,10 @@ impl<P: Finish> Builder<P> {
     /// Computes the field of all groups of rays, whose disagreement gives error bars.
     ///
     /// Each builder holds the sums of one group, all on the same leaves; the `ray_sets` are theirs, and `progress` is
-    /// that of each. This takes the memory of one more group.
+    /// that of each. This takes the memory of one more group, unless their sums left memory.
     ///
     /// # Errors
-    /// As [`Builder::want_density`].
+    /// As [`Builder::want_density`], or if sums that left memory cannot be read.
     pub fn finish_groups(
         groups: Vec<Self>,
         ray_sets: Vec<RaySet>,
@@ -366,10 +363,9 @@ impl<P: Finish> Builder<P> {
         if let Some(stream) = source.stream {
             whole.want_density(stream)?;
         }
-        let vertices = whole.vertices(source)?;
-        let sums = groups.into_iter().map(|group| group.posterior.gathered(&vertices)).collect::<Result<Vec<_>>>()?;
+        let groups: Vec<P> = groups.into_iter().map(|group| group.posterior).collect();
         let rays: Vec<u64> = progress.iter().map(|p| p.rays).collect();
-        Ok(whole.finish_at(vertices, source)?.with_error_bars(&sums, &rays).with_ray_sets(ray_sets))
+        Ok(whole.finish(source)?.with_error_bars(&groups, &rays)?.with_ray_sets(ray_sets))
     }
 }
 

@@ -14,15 +14,15 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 
 use super::SURFACE_POINTS;
-use super::builder::{Builder, Finish};
-use super::overflow::{self, Overflow, remove_others};
+use super::builder::Builder;
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::MaxLevels;
+use crate::posterior::overflow::{self, Overflow, remove_others};
 use crate::posterior::{Posterior, RayCoverage, Sums};
 use crate::rays::{Pixels, RaySet, RunProgress, Shard};
 use crate::render::GradientMethod;
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::{Finish, UncertaintyField};
 use crate::{Error, Result};
 
 /// A file that lets a run survive Ctrl-C, `kill -9` and power cuts.

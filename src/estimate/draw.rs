@@ -3,10 +3,11 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use super::builder::{Builder, Finish};
+use super::builder::Builder;
 use super::checkpoint::Saver;
 use super::estimation::Estimation;
 use crate::rays::{End, RayStream, RunProgress, Shard};
+use crate::uncertainty::Finish;
 use crate::{Error, Result};
 
 /// Rays with separate sums: a whole run or one group.
@@ -52,6 +53,7 @@ pub(super) fn draw(settings: &mut Estimation, part: &Part, builder: &mut Builder
         End::Complete(progress) => {
             // A completed group is not drawn again if a later one is interrupted.
             if is_group {
+                builder.spill_to_one()?;
                 saver.save(builder, || key(builder), progress)?;
             }
             Ok(Drawn { progress, summing })

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::{Checkpoint, Feature, GridSettings, Model, RaySettings, require};
 use crate::geometry::{Camera, Domain, Lattice, Mask};
 use crate::monitor::{Monitor, Silent};
+use crate::posterior::overflow::MOST_RUNS;
 use crate::rays::{Pixels, RayStream, Shard};
 use crate::render::RaySamples;
 use crate::{Error, Result};
@@ -161,7 +162,8 @@ impl<'a> Estimation<'a> {
     /// Draws the rays in `groups` independent groups, and stores with every log10 U its error relative to the
     /// limit of infinitely many rays.
     ///
-    /// Summing takes `groups` + 1 times the memory.
+    /// Summing takes `groups` + 1 times the memory. Under a [budget](GridSettings::memory), the sums of each group leave
+    /// memory before the next is drawn.
     pub fn error_bars(self, groups: u16) -> Self {
         Self { goal: Goal::Groups(groups), ..self }
     }
@@ -263,15 +265,13 @@ impl<'a> Estimation<'a> {
                 let expected = "chosen ones, beside error bars or a mean error: every pixel leaves no such error";
                 Err(Error::setting("pixels", expected, "every pixel"))
             }
-            Goal::Groups(_) if self.grid.memory.is_some() => {
-                Err(Error::setting("error bars", "no memory budget, which is for one set of sums", "a budget"))
+            Goal::Groups(groups) if self.grid.memory.is_some() && usize::from(groups) > MOST_RUNS => {
+                let expected = format!("at most {MOST_RUNS} groups under a memory budget, a file of each");
+                Err(Error::setting("error bars", expected, groups.to_string()))
             }
             Goal::MeanError(_) if self.grid.is_limited() => {
                 let expected = "a grid without limits to its refinement";
                 Err(Error::setting("run to a mean error", expected, "criterion `ray-count`"))
-            }
-            Goal::MeanError(_) if self.grid.memory.is_some() => {
-                Err(Error::setting("run to a mean error", "no memory budget, which is for one set of sums", "a budget"))
             }
             Goal::MeanError(_) if self.checkpoint.is_some() => {
                 Err(Error::setting("run to a mean error", "a run by itself, to its end", "a checkpoint"))

@@ -125,10 +125,6 @@ impl GridSettings {
             let expected = format!("none: the scale of the training pixels has {:e}", data.lambda());
             return Err(Error::setting("lambda", expected, format!("{lambda:e}")));
         }
-        if self.memory.is_some() && self.pooling.is_on() {
-            let found = "`auto`, which needs the sums of all neighbours in memory";
-            return Err(Error::setting("memory budget", "no pooling", found));
-        }
         let lambda = self.prior_precision(&lattice);
         let prior = self.covariance.prior(lambda);
         if !(prior as f32).is_normal() {

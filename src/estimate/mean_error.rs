@@ -8,16 +8,12 @@
 //! Of pooled fields, the halves share what pooling smears. There, the mean of the halves'
 //! [error bars](crate::uncertainty::ErrorBars) takes the place of Δ/2, over the vertices whose error they know.
 
-use rayon::prelude::*;
-
-use super::GridSettings;
-use super::builder::{Builder, FieldSource, Finish};
+use super::builder::{Builder, FieldSource};
 use crate::Result;
-use crate::geometry::Domain;
 use crate::metrics::quantile;
 use crate::monitor::Monitor;
 use crate::rays::{Purpose, RaySet, RayStream, RunProgress, Shard};
-use crate::uncertainty::{MOVED, UncertaintyField};
+use crate::uncertainty::{Finish, MOVED, UncertaintyField};
 
 /// Number of rays before the first measurement.
 const FIRST: u64 = 65_536;
@@ -36,11 +32,6 @@ pub struct SamplingError {
 }
 
 impl SamplingError {
-    /// From log10 U of both halves at these vertices.
-    fn from_halves(halves: &[(f64, f64)]) -> Self {
-        Self::from_errors(halves.iter().map(|(a, b)| 0.5 * (a - b).abs()).collect())
-    }
-
     /// From the error bars of two halves.
     fn from_bars(field: &UncertaintyField) -> Self {
         Self::from_errors(field.errors_of_moved().into_iter().flatten().collect())
@@ -65,37 +56,38 @@ impl SamplingError {
 /// One half of the rays: its sums and its progress.
 type Half<P> = (Builder<P>, RunProgress);
 
-/// Draws two halves of rays until the estimated mean error of log10 U is within `decades`, or `most` rays are drawn.
+/// Draws two halves of rays into two builders until the estimated mean error of log10 U is within `decades`, or `most`
+/// rays are drawn.
 ///
 /// The first half uses the pixels of `stream`; the second has its own.
 ///
 /// # Errors
-/// As [`RayStream::run`].
+/// As [`RayStream::run`], or if sums cannot leave memory.
 pub(super) fn draw<P: Finish>(
+    builders: [Builder<P>; 2],
     stream: &RayStream,
-    settings: GridSettings,
-    domain: Domain,
     decades: f64,
     most: u64,
     monitor: &dyn Monitor,
 ) -> Result<([Half<P>; 2], SamplingError)> {
     let other_pixels = stream.for_purpose(Purpose::SecondHalf);
     let streams = [stream, &other_pixels];
-    let half = || Ok((Builder::new(settings, domain, None)?, RunProgress::default()));
-    let mut halves: [Half<P>; 2] = [half()?, half()?];
+    let is_pooled = builders[0].settings().pooling.is_on();
+    let mut halves = builders.map(|builder| (builder, RunProgress::default()));
     let mut rays = FIRST.min(most);
     loop {
         for ((builder, progress), stream) in halves.iter_mut().zip(streams) {
             *progress = stream.run(Shard::whole((rays / 2).max(1)), *progress, monitor, |batches, _| {
-                builder.add(batches);
-                Ok(())
+                builder.add_within_budget(batches).map(|_| ())
             })?;
         }
-        let error = if settings.pooling.is_on() {
+        // Error bars are made of a copy of both halves.
+        Builder::spill_both(halves.each_mut().map(|half| &mut half.0), is_pooled)?;
+        let error = if is_pooled {
             SamplingError::from_bars(&with_error_bars(&halves, stream)?)
         } else {
             let drawn = halves.iter().map(|half| half.1.rays).sum();
-            SamplingError::from_halves(&halves[0].0.both(&halves[1].0, drawn))
+            SamplingError::from_errors(halves[0].0.errors(&halves[1].0, drawn)?)
         };
         if error.vertices > 0 && error.mean <= decades || rays == most {
             return Ok((halves, error));
@@ -119,27 +111,25 @@ pub(super) fn ray_sets<P>(stream: &RayStream, halves: &[Half<P>; 2]) -> Vec<RayS
 }
 
 impl<P: Finish> Builder<P> {
-    /// log10 U of this builder and of another, each with half of `rays`, at the vertices that both together
-    /// move by more than half a decade.
-    fn both(&self, other: &Self, rays: u64) -> Vec<(f64, f64)> {
+    /// Half the difference of log10 U between this builder and another, each with half of `rays`, at the vertices that
+    /// both together move by more than half a decade.
+    fn errors(&self, other: &Self, rays: u64) -> Result<Vec<f64>> {
         let lambda = self.settings().prior_precision(self.lattice());
         let covariance = self.settings().covariance;
         let moved = covariance.prior(lambda) * 10_f64.powf(-MOVED);
-        let pairs = self.paired(other);
-        let looked_at = pairs.into_par_iter().filter_map(|(mine, theirs)| {
+        self.paired(other, |mine, theirs| {
             let mut sum = mine;
             sum += &theirs;
-            let half = |sums| covariance.deviation(&sums, rays / 2, lambda).log10();
-            (covariance.deviation(&sum, rays, lambda) < moved).then(|| (half(mine), half(theirs)))
-        });
-        looked_at.collect()
+            let [a, b] = [mine, theirs].map(|half| covariance.deviation(&half, rays / 2, lambda).log10());
+            (covariance.deviation(&sum, rays, lambda) < moved).then(|| 0.5 * (a - b).abs())
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::{Estimation, GridKind, Outcome, RayError, RaySettings};
+    use crate::estimate::{Estimation, GridKind, GridSettings, Outcome, RayError, RaySettings};
     use crate::field::ClosedForm;
     use crate::posterior::{Criterion, Pooling};
     use crate::uncertainty::{MOVED, Support};

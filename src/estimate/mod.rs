@@ -17,7 +17,6 @@ mod framing;
 mod grid;
 mod mean_error;
 mod model;
-mod overflow;
 mod plan;
 mod positions;
 mod rays;

@@ -29,6 +29,8 @@ const STRUCTURE: [f64; 2] = [1.0, 0.2];
 /// Bytes per vertex that building the structure takes on the way, beyond what lists of rays leave free: masks of split
 /// cells, and the points that their bricks own.
 const BUILDING: f64 = 4.0;
+/// Bytes per vertex of error bars, in memory and in the file.
+const BARS: f64 = size_of::<u16>() as f64;
 /// Bytes of a part's sums in the file.
 const EXACT: f64 = (6 * size_of::<f64>() + size_of::<u32>()) as f64;
 /// Bytes that every process needs beyond what the pilot shows, such as for ray coverage. Small scenes were found to
@@ -120,6 +122,8 @@ pub struct Planner {
     picture: f64,
     /// Bytes that sums may take in memory, if there is a budget.
     room: Option<f64>,
+    /// Number of groups of rays with sums of their own, if there are any.
+    groups: Option<u16>,
     time: Duration,
 }
 
@@ -178,6 +182,7 @@ impl Planner {
             outside: outside + lists + 0.5 * RESERVE,
             picture: 0.0,
             room: None,
+            groups: None,
             time: match preparing {
                 None => start.elapsed().mul_f64(own_scale),
                 Some(Preparing { view, of_pilot, of_run }) => {
@@ -200,6 +205,12 @@ impl Planner {
         Self { room: room.map(|room| room as f64), ..self }
     }
 
+    /// The planner of a run in groups of rays.
+    #[must_use]
+    pub fn with_groups(self, groups: Option<u16>) -> Self {
+        Self { groups, ..self }
+    }
+
     /// What the run will need.
     #[must_use]
     pub fn plan(&self) -> Plan {
@@ -212,7 +223,7 @@ impl Planner {
         };
         let (vertices, summing, spare, disk) = match self.settings.grid {
             GridKind::Dense => {
-                let summing = DensePosterior::required_memory(&self.lattice) as f64;
+                let summing = self.sets() * DensePosterior::required_memory(&self.lattice) as f64;
                 (self.lattice.dense_vertices() as f64, summing, 0.0, 0.0)
             }
             GridKind::Octree => self.of_octree(&limits),
@@ -226,6 +237,10 @@ impl Planner {
             (false, true) => size_of::<FactoredSums>() as f64,
             (false, false) => 0.0,
         };
+        let bars = if self.groups.is_some() { BARS } else { 0.0 };
+        // Pooled deviations without each group are made of all sums around a vertex, and kept until the last.
+        let pooled = self.groups.filter(|_| self.settings.pooling.is_on());
+        let deleted = pooled.map_or(0.0, |groups| size_of::<VertexSums>() as f64 + 8.0 * f64::from(groups));
         Plan {
             given_up: counts.shares(&limits),
             // Limits are made in a table twice as large.
@@ -235,29 +250,40 @@ impl Planner {
             vertices,
             vertices_unlimited: self.census.needs(self.own_scale, &unlimited).vertices,
             summing,
-            finishing: vertices * (VALUES + structure + f64::max(building, gathered as f64)),
+            finishing: vertices * (VALUES + structure + bars + deleted + f64::max(building, gathered as f64)),
             spare,
             disk,
             picture: self.picture,
-            file: vertices * (VALUES + stored + in_file) + 12.0 * SURFACE_POINTS as f64,
+            file: vertices * (VALUES + stored + bars + in_file) + 12.0 * SURFACE_POINTS as f64,
             time: self.time,
         }
+    }
+
+    /// Number of sets of sums in memory at the end: those of each group, and of all.
+    fn sets(&self) -> f64 {
+        self.groups.map_or(1.0, |groups| f64::from(groups) + 1.0)
     }
 
     /// Vertices of the field on an octree; bytes of the sums in memory, room beside them that nothing uses, and bytes
     /// of their runs on disk.
     fn of_octree(&self, limits: &MaxLevels) -> (f64, f64, f64, f64) {
         let entries = self.settings.entries(self.is_part);
-        let needs = |runs: f64| self.census.needs(self.own_scale / runs, limits);
-        let all = needs(1.0);
-        let taken = |needs: Needs| needs.summing(entries) + needs.spare();
-        let Some(room) = self.room.filter(|room| taken(all) > *room) else {
-            return (all.vertices, all.summing(entries), all.spare(), 0.0);
+        let needs = |parts: f64| self.census.needs(self.own_scale / parts, limits);
+        let taken = |needs: &Needs| needs.summing(entries) + needs.spare();
+        let (all, groups) = (needs(1.0), f64::from(self.groups.unwrap_or(1)));
+        let of_group = needs(groups);
+        let Some(room) = self.room.filter(|room| self.groups.is_some() || taken(&all) > *room) else {
+            let others = self.sets() - 1.0;
+            let summing = all.summing(entries) + others * of_group.summing(entries);
+            return (all.vertices, summing, all.spare() + others * of_group.spare(), 0.0);
         };
         // The fewest runs of equal numbers of rays that each fit.
-        let runs = (1..).map(|power| f64::from(power).exp2()).find(|runs| taken(needs(*runs)) <= room || *runs > 1e6);
-        let runs = runs.unwrap_or(1.0);
+        let fits = |runs: &f64| taken(&needs(groups * runs)) <= room || *runs > 1e6;
+        let runs = (0..).map(|power| f64::from(power).exp2()).find(fits).unwrap_or(1.0);
         let record = (u64::SIZE + entries.record_bytes()) as f64;
-        (all.vertices, room, 0.0, runs * needs(runs).sums * record)
+        // Those of a group are merged while they are still there.
+        let merged = if self.groups.is_some() && runs > 1.0 { runs * needs(groups * runs).sums } else { 0.0 };
+        let kept = if self.groups.is_some() { groups * of_group.sums } else { runs * needs(runs).sums };
+        (all.vertices, taken(&of_group).min(room), 0.0, (kept + merged) * record)
     }
 }

@@ -3,20 +3,20 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use super::builder::{Builder, Finish};
+use super::builder::Builder;
 use super::draw::{Part, draw};
 use super::estimation::{Estimation, Goal};
 use super::mean_error;
-use super::overflow::{Overflow, least_budget, room_for_sums};
 use super::{
     Audit, CoverageCheck, ErrorBudget, FieldBuilder, FieldSource, GridKind, GridSettings, Plan, Planner, PositionCheck,
     RayError, SURFACE_POINTS, StepCheck,
 };
 use crate::geometry::{Lattice, kept_pixels};
 use crate::io::memory::resident;
+use crate::posterior::overflow::{Overflow, least_budget, room_for_sums};
 use crate::posterior::{DensePosterior, DiagonalSums, Entries, OctreePosterior};
 use crate::rays::{Pixels, Purpose, RayStream, RunProgress, Shard};
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::{Finish, UncertaintyField};
 use crate::{Error, Result};
 
 /// A finished run.
@@ -129,20 +129,22 @@ impl<'a> Run<'a> {
     /// # Errors
     /// As [`RayStream::run`].
     pub fn forecast(&self) -> Result<Plan> {
-        let mut plan = match &self.plan {
-            Some(plan) => plan.clone(),
-            None => self.pilot()?.plan(),
-        };
-        // Every group has its own sums, and finishing needs one more.
-        let sums = self.settings.goal.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
-        (plan.summing, plan.spare, plan.finishing) = (sums * plan.summing, sums * plan.spare, sums * plan.finishing);
-        Ok(plan)
+        self.plan.as_ref().map_or_else(|| Ok(self.pilot()?.plan()), |plan| Ok(plan.clone()))
     }
 
     fn pilot(&self) -> Result<Planner> {
         let Estimation { rays, grid, monitor, picture, .. } = &self.settings;
         let planner = Planner::new(*grid, rays, &self.stream, self.settings.own_shard(), self.lattice, *monitor)?;
-        Ok(planner.with_picture(*picture).with_room(self.room))
+        Ok(planner.with_picture(*picture).with_room(self.room).with_groups(self.settings.goal.groups()))
+    }
+
+    /// The folder of sums that leave memory, and the bytes of those that an interrupted run left there; `None` without a
+    /// budget.
+    #[must_use]
+    pub fn scratch(&self) -> Option<(PathBuf, u64)> {
+        let overflows: Vec<Overflow> = self.files().iter().filter_map(|file| self.overflow(file.as_deref())).collect();
+        let folder = overflows.first()?.place().0.to_path_buf();
+        Some((folder, overflows.iter().map(|overflow| overflow.place().1).sum()))
     }
 
     /// Bytes that a budget leaves for pictures before the first ray; `None` without a budget.
@@ -255,7 +257,7 @@ impl<'a> Run<'a> {
         let (mut builders, mut ray_sets) = (Vec::new(), Vec::new());
         let (mut progress, mut summing) = (Vec::new(), Duration::ZERO);
         for (group, file) in (0..count).zip(self.files()) {
-            let mut builder = self.builder::<P>()?;
+            let mut builder = self.builder::<P>()?.with_overflow(self.overflow(file.as_deref()));
             let stream = self.stream.for_purpose(Purpose::Group(group));
             let shard = Shard::whole(rays / groups + u64::from(u64::from(group) < rays % groups));
             let part = Part { stream: &stream, shard, file: file.as_deref() };
@@ -265,27 +267,36 @@ impl<'a> Run<'a> {
             ray_sets.push(stream.ray_set(shard));
             builders.push(builder);
         }
-        let sums_bytes = builders.iter().map(Builder::memory).sum();
+        let disk_bytes = builders.iter().map(Builder::disk_bytes).sum();
+        // Those of each group have left before the next is drawn, or stay.
+        let of_groups = builders.iter().map(Builder::memory);
+        let sums_bytes = if disk_bytes > 0 { of_groups.max().unwrap_or(0) } else { of_groups.sum() };
         let whole = progress.iter().copied().sum();
         let start = Instant::now();
         let field = Builder::finish_groups(builders, ray_sets, &progress, &self.source(whole, None))?;
-        Ok(self.outcome(field, whole, sums_bytes, summing + start.elapsed()))
+        let outcome = self.outcome(field, whole, sums_bytes, summing + start.elapsed());
+        Ok(Outcome { disk_bytes, ..outcome })
     }
 
     fn finish_mean_error<P: Finish>(self, decades: f64) -> Result<Outcome> {
         let Estimation { grid, domain, rays, monitor, .. } = &self.settings;
         let start = Instant::now();
-        let (halves, error) = mean_error::draw::<P>(&self.stream, *grid, *domain, decades, rays.rays, *monitor)?;
+        // Each half of the rays has half of the room.
+        let overflow = self.room.and_then(|room| self.overflow_of(room / 2, None));
+        let half = || Ok(Builder::<P>::new(*grid, *domain, None)?.with_overflow(overflow.clone()));
+        let (halves, error) = mean_error::draw([half()?, half()?], &self.stream, decades, rays.rays, *monitor)?;
         let progress = halves.iter().map(|half| half.1).sum();
         let sums_bytes = halves.iter().map(|half| half.0.memory()).sum();
         let ray_sets = mean_error::ray_sets(&self.stream, &halves);
+        let disk_bytes = halves.iter().map(|half| half.0.disk_bytes()).sum();
         let [(mut whole, _), (other, _)] = halves;
         whole += &other;
         whole.want_density(&self.stream)?;
         // Two sequences of pixels do not form a shard that others could be added to.
         let field = whole.finish(&self.source(progress, None))?.with_ray_sets(ray_sets);
         let outcome = self.outcome(field, progress, sums_bytes, start.elapsed());
-        Ok(Outcome { errors: ErrorBudget { rays: Some(RayError::Halves(error)), ..outcome.errors }, ..outcome })
+        let errors = ErrorBudget { rays: Some(RayError::Halves(error)), ..outcome.errors };
+        Ok(Outcome { errors, disk_bytes, ..outcome })
     }
 
     /// Draws the rays once and computes a field on each of `grids` from them, for exact comparisons between
@@ -335,9 +346,13 @@ impl<'a> Run<'a> {
 
     /// Where sums go that the budget has no room for, if there is one. The run's state is kept in `file`.
     fn overflow(&self, file: Option<&Path>) -> Option<Overflow> {
+        self.room.and_then(|room| self.overflow_of(room, file))
+    }
+
+    fn overflow_of(&self, room: usize, file: Option<&Path>) -> Option<Overflow> {
         // A dense grid is as large from its first ray on.
-        let room = self.room.filter(|_| self.settings.grid.grid == GridKind::Octree);
-        room.map(|room| Overflow::new(room, &self.settings.scratch, file))
+        let leaves = self.settings.grid.grid == GridKind::Octree;
+        leaves.then(|| Overflow::new(room, &self.settings.scratch, file))
     }
 
     /// The checkpoint's files, one for each group; `[None]` without a checkpoint.

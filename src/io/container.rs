@@ -193,13 +193,26 @@ impl Reader {
         Ok((content, Self { file, path: path.to_path_buf(), sections }))
     }
 
-    /// Whether a section of this name follows and holds anything.
-    pub fn has(&self, name: &str) -> bool {
-        self.sections.iter().any(|section| section.name == name && section.bytes > 0)
+    /// Bytes of the next section of this name; 0 if none follows.
+    pub fn bytes(&self, name: &str) -> u64 {
+        self.sections.iter().find(|section| section.name == name).map_or(0, |section| section.bytes)
     }
 
     /// Reads and checks the next section of this name. Sections of other names before it are skipped.
     pub fn section<T: Item>(&mut self, name: &str) -> Result<Vec<T>> {
+        let mut items = Vec::new();
+        self.pieces::<T>(name, |bytes, left| {
+            // The lengths were checked against the file's, so this allocates no more than the file holds.
+            items.reserve_exact(left);
+            items.extend(bytes.chunks_exact(T::SIZE).map(T::take));
+            Ok(())
+        })?;
+        Ok(items)
+    }
+
+    /// Reads the next section of this name piece by piece, and checks it. Calls `visit` with each piece, whole items, and
+    /// how many items are left with those. Sections of other names before it are skipped.
+    pub fn pieces<T: Item>(&mut self, name: &str, mut visit: impl FnMut(&[u8], usize) -> Result<()>) -> Result<()> {
         let path = &self.path;
         let missing = || Error::malformed(path, "header", format!("a section `{name}`"), "none");
         let at = self.sections.iter().position(|section| section.name == name).ok_or_else(missing)?;
@@ -211,9 +224,7 @@ impl Reader {
             let expected = format!("a multiple of {} bytes", T::SIZE);
             return Err(Error::malformed(path, format!("section `{name}`"), expected, format!("{length} bytes")));
         }
-        // The lengths were checked against the file's, so this allocates no more than the file holds.
         let mut left = (length / T::SIZE as u64) as usize;
-        let mut items = Vec::with_capacity(left);
         let mut hasher = crc32fast::Hasher::new();
         let mut bytes = vec![0; CHUNK.min(left) * T::SIZE];
         while left > 0 {
@@ -221,11 +232,11 @@ impl Reader {
             let bytes = &mut bytes[..n * T::SIZE];
             self.file.read_exact(bytes).map_err(Error::io(path, "cannot read"))?;
             hasher.update(bytes);
-            items.extend(bytes.chunks_exact(T::SIZE).map(T::take));
+            visit(bytes, left)?;
             left -= n;
         }
         if hasher.finalize() == crc32 {
-            Ok(items)
+            Ok(())
         } else {
             Err(Error::malformed(path, format!("section `{name}`"), "its stored checksum", "altered data"))
         }

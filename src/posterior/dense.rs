@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 use std::ops::AddAssign;
 use std::sync::Arc;
 
-use super::{Fill, Posterior, Refinement, Sums, VertexSums};
+use rayon::prelude::*;
+
+use super::{Fill, Posterior, Refinement, Sums, Support, VertexSums};
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::io::sorted::SortedFile;
@@ -100,6 +102,10 @@ impl Posterior for DensePosterior {
         }
     }
 
+    fn add_sums(&mut self, point: [u32; 3], sums: &VertexSums) {
+        self.sums[self.lattice.dense_index(point)] += sums;
+    }
+
     fn memory(&self) -> usize {
         self.sums.capacity() * size_of::<VertexSums>()
     }
@@ -127,13 +133,27 @@ impl Posterior for DensePosterior {
         Ok(())
     }
 
-    fn gathered(self, (): &()) -> Result<Vec<VertexSums>> {
-        Ok(self.sums)
+    fn read_groups<T: Clone + Default + Send>(
+        groups: &[Self],
+        support: &Support,
+        read: impl Fn(usize, [u32; 3], &[VertexSums]) -> T + Sync,
+    ) -> Result<Vec<T>> {
+        assert!(*support == Support::Dense, "a dense grid");
+        let lattice = groups[0].lattice;
+        let read = |v: usize| {
+            let sums: Vec<VertexSums> = groups.iter().map(|group| group.sums[v]).collect();
+            read(v, lattice.dense_point(v), &sums)
+        };
+        Ok((0..groups[0].sums.len()).into_par_iter().map(read).collect())
     }
 
-    fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {
-        let pairs = self.sums.iter().zip(&other.sums);
-        pairs.filter(|(a, b)| a.rays > 0 || b.rays > 0).map(|(a, b)| (*a, *b)).collect()
+    fn paired<T: Send>(
+        &self,
+        other: &Self,
+        read: impl Fn(VertexSums, VertexSums) -> Option<T> + Send + Sync,
+    ) -> Result<Vec<T>> {
+        let touched = self.sums.par_iter().zip(&other.sums).filter(|(a, b)| a.rays > 0 || b.rays > 0);
+        Ok(touched.filter_map(|(a, b)| read(*a, *b)).collect())
     }
 
     fn keys(&self) -> Vec<u64> {

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 
 use super::means::BLOCK;
-use super::octree::TOGETHER;
+use super::octree::{TOGETHER, each_vertex};
 use super::pooling::{MOVES, Pooling};
 use super::shrinkage::{Block, Shrinkage};
 use super::{Covariance, OctreePosterior, Scale, Sums, VertexSums, negligible_information};
@@ -125,11 +125,9 @@ impl<S: Sums> OctreePosterior<S> {
         let count = octree.vertex_count();
         let (mut deviations, mut rays) = (vec![0.0; count], vec![C::default(); count]);
         let values = deviations.par_chunks_mut(TOGETHER).zip(rays.par_chunks_mut(TOGETHER));
-        self.groups_at(octree).zip(values).try_for_each(|(group, (deviations, rays))| {
-            for ((point, sums), (deviation, count)) in group?.into_iter().zip(deviations.iter_mut().zip(rays)) {
-                (*deviation, *count) = (reading.deviation_at(self.limits(), point, sums.widened()), code(sums.rays()));
-            }
-            Ok(())
+        each_vertex(std::slice::from_ref(self), octree, values, |(deviations, rays), v, point, sums| {
+            deviations[v % TOGETHER] = reading.deviation_at(self.limits(), point, sums[0].widened());
+            rays[v % TOGETHER] = code(sums[0].rays());
         })?;
         Ok((deviations, rays))
     }

@@ -16,6 +16,7 @@ mod enclosed;
 mod factor;
 mod means;
 mod octree;
+pub(crate) mod overflow;
 mod pooling;
 mod ray_coverage;
 mod scale;
@@ -53,7 +54,7 @@ use crate::render::RaySamples;
 pub type Fill<'a, S> = &'a dyn Fn(Push<S>) -> Result<()>;
 
 /// Sums of information over a stream of ray samples, on one kind of grid.
-pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
+pub trait Posterior: Sized + Sync + for<'a> AddAssign<&'a Self> {
     /// The name of such a grid and of what it sums.
     const NAME: [&'static str; 2];
     /// What is summed at each vertex.
@@ -69,6 +70,9 @@ pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
     /// The result depends on the order of the rays, but not on how they are split into batches or on the number
     /// of threads.
     fn add(&mut self, batches: &[RaySamples]);
+
+    /// Adds the sums over other rays at one vertex.
+    fn add_sums(&mut self, point: [u32; 3], sums: &VertexSums);
 
     /// Current size on the heap, bytes.
     fn memory(&self) -> usize;
@@ -96,20 +100,36 @@ pub trait Posterior: Sized + for<'a> AddAssign<&'a Self> {
     /// If the run cannot be read.
     fn add_run(&mut self, run: SortedFile<Self::Sums>) -> Result<bool>;
 
-    /// The vertices of the field of these sums.
+    /// The vertices of the field of these sums. If any left memory, all have.
     ///
     /// # Errors
     /// If a run cannot be read.
     fn vertices(&self, refinement: &Refinement) -> Result<Self::Vertices>;
 
-    /// The sums at these vertices, in their order.
+    /// `[vertices]`: what `read` makes of the number of a vertex of a field, its lattice point, and its sums in each of
+    /// these `groups` of rays, on the same leaves.
     ///
     /// # Errors
     /// If a run cannot be read.
-    fn gathered(self, vertices: &Self::Vertices) -> Result<Vec<Self::Sums>>;
+    ///
+    /// # Panics
+    /// If the vertices are those of the other kind of grid.
+    fn read_groups<T: Clone + Default + Send>(
+        groups: &[Self],
+        support: &Support,
+        read: impl Fn(usize, [u32; 3], &[Self::Sums]) -> T + Sync,
+    ) -> Result<Vec<T>>;
 
-    /// The sums of this posterior and of another on the same leaves, at every vertex that rays touched in either.
-    fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)>;
+    /// What `read` makes of the sums of this posterior and of another on the same leaves, at every vertex that rays
+    /// touched in either, leaving out what is `None`. If any sums of the two left memory, all have.
+    ///
+    /// # Errors
+    /// If a run cannot be read.
+    fn paired<T: Send>(
+        &self,
+        other: &Self,
+        read: impl Fn(VertexSums, VertexSums) -> Option<T> + Send + Sync,
+    ) -> Result<Vec<T>>;
 
     /// For files: a key for each of the sums, in the order of [`Posterior::slices`]. None on a dense grid.
     fn keys(&self) -> Vec<u64>;

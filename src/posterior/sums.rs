@@ -77,6 +77,9 @@ pub trait Sums: Item + Pod + Default + PartialEq + Debug + Send + Sync + for<'a>
 
     /// All of S, with zeros for what is not summed.
     fn widened(&self) -> VertexSums;
+
+    /// What is summed here of all of S.
+    fn narrowed(sums: &VertexSums) -> Self;
 }
 
 /// Sums over the rays that touched a vertex; 56 bytes.
@@ -169,6 +172,10 @@ impl Sums for VertexSums {
     fn widened(&self) -> VertexSums {
         *self
     }
+
+    fn narrowed(sums: &VertexSums) -> Self {
+        *sums
+    }
 }
 
 /// The diagonal of a vertex's sums; 32 bytes, which never lie in two lines of a cache.
@@ -232,5 +239,10 @@ impl Sums for DiagonalSums {
     fn widened(&self) -> VertexSums {
         let [xx, yy, zz] = self.diagonal;
         VertexSums::new([xx, 0.0, 0.0, yy, 0.0, zz], self.rays)
+    }
+
+    fn narrowed(sums: &VertexSums) -> Self {
+        let [xx, _, _, yy, _, zz] = sums.information;
+        Self { diagonal: [xx, yy, zz], rays: sums.rays, unused: 0 }
     }
 }

@@ -1,5 +1,7 @@
 //! What a run will need, before its first ray.
 
+use std::path::Path;
+
 use super::Prepared;
 use super::memory::{available, bytes};
 use crate::estimate::{ErrorBudget, Plan, Planner};
@@ -8,6 +10,19 @@ use crate::{Error, Result};
 
 /// Report the size of a file before the run if it has more bytes than this.
 const LARGE_FILE: f64 = 5e7;
+
+/// Refuses a folder with less room than sums on disk will take.
+fn check_space(folder: &Path, needed: f64, free: u64) -> Result<()> {
+    if needed <= free as f64 {
+        return Ok(());
+    }
+    let expected = format!(
+        "{} for sums on disk by a pilot of the run; a larger --memory needs less, --scratch or --checkpoint choose \
+         another folder",
+        bytes(needed as usize)
+    );
+    Err(Error::setting(format!("folder {}", folder.display()), expected, format!("{} free", bytes(free as usize))))
+}
 
 /// What a run will need.
 #[derive(Debug, Clone, serde::Serialize)]
@@ -65,7 +80,7 @@ impl Prepared<'_> {
     /// Predicts what the run will need, if it is long, has limits or makes a large file.
     ///
     /// # Errors
-    /// If that is more memory than there is, or as [`Prepared::needs`].
+    /// If that is more memory or disk space than there is, or as [`Prepared::needs`].
     pub fn forecast(&self) -> Result<Option<Plan>> {
         if !self.has_fixed_rays() {
             return Ok(None);
@@ -85,8 +100,28 @@ impl Prepared<'_> {
             );
             return Err(Error::setting("memory", expected, format!("{} free", bytes(left as usize))));
         }
+        if let Some((folder, taken)) = self.run.scratch()
+            && let Ok(free) = fs4::available_space(&folder)
+        {
+            check_space(&folder, plan.disk, free + taken)?;
+        }
         let is_notable =
             self.grid.is_limited() || self.run.rays() >= Planner::CHEAP * Planner::PILOT || plan.file > LARGE_FILE;
         Ok(is_notable.then_some(plan))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_with_too_little_room_is_refused_before_the_run() {
+        let folder = Path::new("scratch");
+        assert!(check_space(folder, 4.7e9, 4_700_000_000).is_ok() && check_space(folder, 0.0, 0).is_ok());
+        let error = check_space(folder, 4.7e9, 1_200_000_000).unwrap_err().to_string();
+        for part in ["folder scratch", "4.70 GB", "1.20 GB free", "--scratch", "--memory"] {
+            assert!(error.contains(part), "{error}");
+        }
     }
 }

@@ -359,8 +359,7 @@ impl Prepared<'_> {
         let compared = self.compared()?;
         let Self { session, model, monitor, run, start, step, audit, images, .. } = self;
         let (rays, grid) = (run.rays(), &session.grid);
-        let could_pool =
-            grid.memory.is_none() && session.rays.pixels != Pixels::Every && model.lacks(Feature::Pooling).is_none();
+        let could_pool = session.rays.pixels != Pixels::Every && model.lacks(Feature::Pooling).is_none();
         if session.checkpoint.as_ref().is_some_and(|checkpoint| !checkpoint.is_restart()) {
             session.note_progress(rays, "--restart discards them", tell);
         }

@@ -37,12 +37,13 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 use super::by_vertex::encode;
-use super::layers::{ErrorBars, Layer, Layers};
+use super::layers::{ErrorBars, Layer, Layers, each_sums};
 use super::merge::Head;
 use super::{RunRecord, Support, UncertaintyField};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Item, Reader, Section};
 use crate::octree::Octree;
+use crate::posterior::VertexSums;
 use crate::{Error, Result};
 
 /// The version that this crate reads and writes.
@@ -66,7 +67,7 @@ enum Kind {
 
 /// A file that is being read.
 pub struct Source {
-    path: PathBuf,
+    pub path: PathBuf,
     file: Reader,
     kind: Kind,
     /// Layers that are still to be read.
@@ -131,14 +132,27 @@ impl Source {
         serde_json::from_value(head).map_err(wrong)
     }
 
-    /// Whether a section of this name follows and holds anything.
-    pub fn has(&self, section: &str) -> bool {
-        self.file.has(section)
+    /// Bytes of the next section of this name; 0 if none follows.
+    pub fn bytes(&self, section: &str) -> u64 {
+        self.file.bytes(section)
     }
 
     /// Reads and checks the next section of this name.
     pub fn section<T: Item>(&mut self, name: &str) -> Result<Vec<T>> {
         self.file.section(name)
+    }
+
+    /// Calls `visit` with every entry of the next section of this name, and its number, and checks the section.
+    pub fn each<T: Item>(&mut self, name: &str, mut visit: impl FnMut(usize, T) -> Result<()>) -> Result<usize> {
+        let mut count = 0;
+        self.file.pieces::<T>(name, |bytes, _| {
+            for item in bytes.chunks_exact(T::SIZE).map(T::take) {
+                visit(count, item)?;
+                count += 1;
+            }
+            Ok(())
+        })?;
+        Ok(count)
     }
 
     /// Refuses a section with another number of entries than vertices.
@@ -201,6 +215,34 @@ impl UncertaintyField {
         let Source { record, lattice, is_dense, .. } = file;
         let name = path.display().to_string();
         Ok(Head { name, record, lattice, ray_sets, is_dense, has_error_bars })
+    }
+
+    /// Reads what a merge needs of a file beside its sums: where its vertices are, and its layers.
+    ///
+    /// # Errors
+    /// If the file is missing, or is not complete, or not a field of this version.
+    pub(super) fn read_without_sums(path: &Path) -> Result<(Support, Layers)> {
+        let mut file = Source::open(path)?;
+        let support = file.support()?;
+        file.heads.remove(<Vec<VertexSums>>::NAME);
+        Ok((support, Layers::read(&mut file)?))
+    }
+
+    /// Calls `visit` with the sums at each of so many `vertices`, in their order. Returns whether the file has sums.
+    ///
+    /// # Errors
+    /// If the file is missing, or is not complete, or not a field of this version, or what `visit` returns.
+    pub(super) fn each_sums(path: &Path, vertices: u64, visit: impl FnMut(VertexSums) -> Result<()>) -> Result<bool> {
+        let mut file = Source::open(path)?;
+        file.vertices = vertices;
+        // What was altered anywhere is no part of a run.
+        file.file.pieces::<f32>("deviations", |_, _| Ok(()))?;
+        file.file.pieces::<u8>("rays", |_, _| Ok(()))?;
+        let has_sums = file.heads.contains_key(<Vec<VertexSums>>::NAME);
+        if has_sums {
+            each_sums(&mut file, visit)?;
+        }
+        Ok(has_sums)
     }
 
     /// Whether a file holds error bars, by its header.

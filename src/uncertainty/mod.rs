@@ -30,7 +30,7 @@ pub use compare::{Comparison, Difference, Summary, compare};
 pub use file::FORMAT_VERSION;
 pub use layers::{ErrorBars, ErrorSummary};
 pub use matrices::Matrices;
-pub use merge::{merge, merge_with_error_bars};
+pub use merge::{Merging, merge};
 pub use observability::Observability;
 #[cfg(feature = "files")]
 pub use official::OfficialGrid;
@@ -54,7 +54,7 @@ use self::layers::Layers;
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, VertexId};
-use crate::posterior::{LocalSums, OctreePosterior, Reading, Sums, VertexSums, deviations};
+use crate::posterior::{DensePosterior, LocalSums, OctreePosterior, Posterior, Reading, Sums, VertexSums, deviations};
 use crate::rays::RaySet;
 
 /// A vertex counts as moved if log10 U lies more than this many decades below the prior's.
@@ -62,6 +62,33 @@ use crate::rays::RaySet;
 /// Half a decade keeps vertices with hardly any information from outnumbering the rest where errors and rays are
 /// counted.
 pub const MOVED: f64 = 0.5;
+
+/// Sums from which a field can be computed.
+pub(crate) trait Finish: Posterior + Clone {
+    /// The field at these vertices of the sums, made of a copy of them or straight from them.
+    ///
+    /// # Errors
+    /// If sums that left memory cannot be read.
+    fn field(
+        self,
+        record: RunRecord,
+        lattice: Lattice,
+        at: Self::Vertices,
+        gathers_sums: bool,
+    ) -> Result<UncertaintyField>;
+}
+
+impl Finish for DensePosterior {
+    fn field(self, record: RunRecord, lattice: Lattice, (): (), _gathers_sums: bool) -> Result<UncertaintyField> {
+        Ok(UncertaintyField::new(record, lattice, Support::Dense, self.into_sums()))
+    }
+}
+
+impl<S: Sums> Finish for OctreePosterior<S> {
+    fn field(self, record: RunRecord, lattice: Lattice, at: Octree, gathers_sums: bool) -> Result<UncertaintyField> {
+        UncertaintyField::on_octree(record, lattice, self, at, gathers_sums)
+    }
+}
 
 /// A spatial uncertainty field.
 #[derive(Debug, Clone, PartialEq)]

@@ -72,6 +72,26 @@ pub(super) fn on_own_octree(record: RunRecord, lattice: Lattice, posterior: Octr
     UncertaintyField::on_octree(record, lattice, posterior, octree, true).unwrap()
 }
 
+/// The field with error bars by groups of rays with these sums at its vertices.
+pub(super) fn barred<const N: usize>(
+    field: UncertaintyField,
+    groups: [Vec<VertexSums>; N],
+    rays: &[u64; N],
+) -> UncertaintyField {
+    let (lattice, limits, support) = (field.lattice, field.limits(), field.support.clone());
+    let on_octree = |octree: &Octree, sums: Vec<VertexSums>| {
+        let mut posterior = OctreePosterior::limited(lattice, limits.clone());
+        octree.vertex_positions().zip(&sums).for_each(|(point, own)| posterior.add_sums(point, own));
+        posterior
+    };
+    let on_grid = |sums| DensePosterior::restore(lattice, &limits, &[], sums).unwrap();
+    let barred = match &support {
+        Support::Octree(octree) => field.with_error_bars(&groups.map(|sums| on_octree(octree, sums)), rays),
+        Support::Dense => field.with_error_bars(&groups.map(on_grid), rays),
+    };
+    barred.unwrap()
+}
+
 fn pooled_fields(covariance: Covariance, scale: f64, pooling: Pooling) -> [UncertaintyField; 2] {
     let lattice = Lattice::new(Aabb::centered_cube(scale), 5).unwrap();
     let samples = [samples(scale as f32)];

@@ -12,7 +12,7 @@ use octobayes::posterior::Covariance;
 use octobayes::rays::{RunProgress, SamplesReader};
 use octobayes::splats::Splats;
 use octobayes::synth::{Mesh, MeshScene, Up};
-use octobayes::uncertainty::{OfficialGrid, UncertaintyField, merge, merge_with_error_bars};
+use octobayes::uncertainty::{Merging, OfficialGrid, UncertaintyField, merge};
 use octobayes::{Error, Result};
 
 use super::{Kind, forge, samples};
@@ -179,7 +179,7 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
         (field.summary(), field.median_rays(), field.error_summary(), serde_json::to_string(field.record()).unwrap());
     if field.deviations().len() < 10_000 {
         let _ = merge(&[field.clone(), field.clone()]);
-        let _ = merge_with_error_bars(&[field.clone(), field.clone()]);
+        let _ = Merging::default().error_bars(true).join(&[field.clone(), field.clone()]);
         // Level 5 of the official grid has 36,000 entries; level 9 takes a gigabyte.
         if field.lattice().level() <= 5 {
             let _ = field.write_official(&path.with_extension("again.npy"));

@@ -11,10 +11,12 @@ use octobayes::dataset::write_transforms;
 use octobayes::estimate::{Estimation, FieldBuilder, FieldSource, GridKind, GridSettings, RaySettings, RunKey};
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain, Norm};
-use octobayes::posterior::{Covariance, Criteria, Criterion, DataScale, Pooling, Scale, VertexSums};
+use octobayes::posterior::{
+    Covariance, Criteria, Criterion, DataScale, DensePosterior, OctreePosterior, Pooling, Posterior, Scale,
+};
 use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
-use octobayes::uncertainty::{ColorSums, ResidualSums, UncertaintyField};
+use octobayes::uncertainty::{ColorSums, ResidualSums, Support, UncertaintyField};
 use safetensors::tensor::{Dtype, TensorView};
 
 use super::arrays::npy;
@@ -117,6 +119,20 @@ fn progress() -> RunProgress {
     RunProgress { batches: 1, rays: 5, samples: 12, ..RunProgress::default() }
 }
 
+/// The field with error bars by two groups of rays, one of which met the vertices at these `points`, and the other every
+/// third.
+fn barred<P: Posterior + Clone>(
+    field: UncertaintyField,
+    empty: P,
+    points: impl Iterator<Item = [u32; 3]>,
+) -> UncertaintyField {
+    let mut groups = [empty.clone(), empty];
+    for (v, (point, sums)) in points.zip(field.sums().unwrap()).enumerate() {
+        groups.iter_mut().take(1 + usize::from(v % 3 == 0)).for_each(|group| group.add_sums(point, sums));
+    }
+    field.with_error_bars(&groups, &[3, 2]).unwrap()
+}
+
 /// Fields on octree and dense grid: with and without sums, with what images leave, of contracted space, with limited
 /// leaves, of a shard.
 pub fn fields() -> Vec<UncertaintyField> {
@@ -137,9 +153,11 @@ pub fn fields() -> Vec<UncertaintyField> {
     let limited = Estimation::new(&ClosedForm::ball(), &cameras).rays(rays).grid(limited).run().unwrap().field;
     // Error bars, known and unknown.
     let bars = |field: UncertaintyField| {
-        let half = field.sums().unwrap().to_vec();
-        let other = half.iter().enumerate().map(|(v, e)| if v % 3 == 0 { *e } else { VertexSums::default() }).collect();
-        field.with_error_bars(&[half, other], &[3, 2])
+        let lattice = *field.lattice();
+        match field.support().clone() {
+            Support::Octree(octree) => barred(field, OctreePosterior::new(lattice), octree.vertex_positions()),
+            Support::Dense => barred(field, DensePosterior::new(lattice), (0..27).map(|v| lattice.dense_point(v))),
+        }
     };
     let images_known = |settings: GridSettings| {
         let scale = Scale::Data(DataScale::new(100, 0.1, 0.05).unwrap());

@@ -167,16 +167,16 @@ pub struct Args {
     ///
     /// Each group draws pixels of its own. The field stores the root mean square error of log10 U (decades, by the
     /// delete-one-group jackknife; 2 is split half), and `query` returns it. Where fewer than two groups or
-    /// four rays saw anything, the error is unknown and left empty. Summing takes GROUPS + 1 times the memory. With
-    /// --checkpoint every group has its own file, FILE.0, FILE.1, … On several machines, give each another --seed,
-    /// then run `merge --error-bars`.
+    /// four rays saw anything, the error is unknown and left empty. Summing takes GROUPS + 1 times the memory; with
+    /// --memory, the sums of each group go to disk before the next is drawn. With --checkpoint every group has its own
+    /// file, FILE.0, FILE.1, … On several machines, give each another --seed, then run `merge --error-bars`.
     #[arg(
         long,
         value_name = "GROUPS",
         num_args = 0..=1,
         default_missing_value = "8",
         value_parser = count::<u16>(2..=64),
-        conflicts_with_all = ["dump_samples", "shard", "memory"],
+        conflicts_with_all = ["dump_samples", "shard"],
         help_heading = heading::STATISTICS,
     )]
     error_bars: Option<u16>,

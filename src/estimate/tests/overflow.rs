@@ -38,6 +38,57 @@ fn a_field_has_the_vertices_and_values_of_a_run_without_a_budget() {
     }
 }
 
+/// Goals that have several sets of sums: groups of rays, and halves of them.
+#[test]
+fn error_bars_and_mean_errors_are_those_of_runs_without_a_budget() {
+    let grid = GridSettings::default().level(7).keep_sums(false);
+    for (grid, room) in [(grid, 1 << 20), (grid, usize::MAX), (grid.pooling(Pooling::Auto).level(6), 1 << 20)] {
+        let [free, bound] = [None, Some(room)].map(|room| run(grid, room, |run| run.error_bars(3)));
+        // Sums of each group leave, whether or not all would fit.
+        assert!(free.disk_bytes == 0 && bound.disk_bytes > 0 && bound.sums_bytes < free.sums_bytes);
+        assert!(bound.field.support() == free.field.support() && bound.field.rays() == free.field.rays());
+        assert!(compare(&bound.field, &free.field, 20_000, 1).unwrap().in_box.unwrap().max < 1e-6);
+        let [a, b] = [&bound, &free].map(|outcome| outcome.field.error_bars().unwrap().clone());
+        // Errors are kept as f16; their differences are of numbers that are rounded to f32.
+        let off = |v: usize| a.get(v).zip(b.get(v)).map_or(0.0, |(a, b)| (a - b).abs() - 2e-3 * b);
+        assert!((0..a.len()).all(|v| a.get(v).is_some() == b.get(v).is_some() && off(v) < 1e-5));
+        let threads = on_threads(3, || run(grid, Some(room), |run| run.error_bars(3)));
+        assert!(threads.field == bound.field);
+
+        let of = |room| run(grid, room, |run| run.until_mean_error(0.3));
+        let [free, bound] = [None, Some(room / 2)].map(of);
+        assert!(bound.field.support() == free.field.support() && bound.progress == free.progress);
+        assert!(compare(&bound.field, &free.field, 20_000, 1).unwrap().in_box.unwrap().max < 1e-6);
+        let [a, b] = [&bound, &free].map(|outcome| match outcome.errors.rays {
+            Some(RayError::Halves(error)) => error,
+            other => panic!("{other:?}"),
+        });
+        assert!(a.vertices.abs_diff(b.vertices) <= 2 && (a.mean - b.mean).abs() < 1e-4 * b.mean, "{a:?}, {b:?}");
+    }
+}
+
+#[test]
+fn groups_of_rays_resume_with_their_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("run.chk");
+    let (grid, room) = (GridSettings::default().level(7).keep_sums(false), 1 << 20);
+    let whole = run(grid, Some(room), |run| run.error_bars(3));
+    let (field, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
+    let again = |monitor: &dyn Monitor| {
+        let estimation = Estimation::new(&field, &cameras).rays(settings(20_000)).grid(grid).monitor(monitor);
+        let mut run = estimation.error_bars(3).checkpoint(Checkpoint::new(&file)).prepare().unwrap();
+        run.room = Some(room);
+        run.finish()
+    };
+    for rays in [3_000, 6_000, 1_000] {
+        assert!(matches!(again(&After(AtomicU64::new(rays))), Err(Error::Interrupted)));
+    }
+    let outcome = again(&Silent).unwrap();
+    assert!(outcome.field == whole.field && outcome.disk_bytes == whole.disk_bytes);
+    Checkpoint::new(&file).remove(Some(3), &outcome.field).unwrap();
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "runs of all groups are gone");
+}
+
 /// More runs than are read side by side: they are merged under way, also in a run that is resumed behind that.
 #[test]
 fn many_runs_are_merged_under_way() {

@@ -26,21 +26,22 @@ mod squares;
 mod walk;
 
 pub use census::{Needs, SpeciesEstimate};
-pub(super) use refine::TOGETHER;
 pub use refine::{Criteria, Criterion, Refinement};
+pub(super) use refine::{TOGETHER, each_vertex};
 
 use std::ops::{AddAssign, Range};
 use std::sync::Arc;
 
 use key::{Contributions, VertexKey};
 use rayon::prelude::*;
+use refine::read_groups;
 use runs::Runs;
 use scattered::Scattered;
 use sparse::SparseSums;
 use walk::LeafWalk;
 
 use super::sums::DiagonalSums;
-use super::{Entries, Fill, Posterior, Sums, VertexSums};
+use super::{Entries, Fill, Posterior, Sums, Support, VertexSums};
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::io::sorted::SortedFile;
@@ -97,11 +98,6 @@ impl<S: Sums> OctreePosterior<S> {
     #[must_use]
     pub fn limits(&self) -> &MaxLevels {
         &self.limits
-    }
-
-    /// Adds sums at a lattice point, as part of joining another run.
-    pub fn add_sums_at(&mut self, point: [u32; 3], sums: &S) {
-        self.sums.add_one(VertexKey::new(point, self.coarseness(point)), sums);
     }
 
     /// The sums so far at a lattice point.
@@ -180,8 +176,8 @@ impl<S: Sums> OctreePosterior<S> {
 impl<S: Sums> AddAssign<&Self> for OctreePosterior<S> {
     /// Adds the sums over other rays on the same leaves, vertex by vertex.
     fn add_assign(&mut self, other: &Self) {
-        assert!(other.runs.is_empty(), "sums of several groups are in memory");
         self.sums += &other.sums;
+        self.runs.extend(&other.runs);
     }
 }
 
@@ -201,6 +197,10 @@ impl<S: Sums> Posterior for OctreePosterior<S> {
             let lists: Vec<_> = some.par_iter().map(|batch| self.contributions(batch)).collect();
             self.sums.add(&lists);
         }
+    }
+
+    fn add_sums(&mut self, point: [u32; 3], sums: &VertexSums) {
+        self.sums.add_one(VertexKey::new(point, self.coarseness(point)), &S::narrowed(sums));
     }
 
     fn memory(&self) -> usize {
@@ -249,14 +249,28 @@ impl<S: Sums> Posterior for OctreePosterior<S> {
         self.octree(refinement)
     }
 
-    fn gathered(self, octree: &Octree) -> Result<Vec<S>> {
-        self.each_at(octree, |sums| *sums)
+    fn read_groups<T: Clone + Default + Send>(
+        groups: &[Self],
+        support: &Support,
+        read: impl Fn(usize, [u32; 3], &[S]) -> T + Sync,
+    ) -> Result<Vec<T>> {
+        let Support::Octree(octree) = support else { panic!("an octree") };
+        read_groups(groups, octree, read)
     }
 
-    fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {
+    fn paired<T: Send>(
+        &self,
+        other: &Self,
+        read: impl Fn(VertexSums, VertexSums) -> Option<T> + Send + Sync,
+    ) -> Result<Vec<T>> {
+        if !(self.runs.is_empty() && other.runs.is_empty()) {
+            assert!(self.memory() + other.memory() == 0, "no sums are in memory beside the runs");
+            return self.runs.paired(&other.runs, |a, b| read(a.widened(), b.widened()));
+        }
         let both = self.touched().map(|(point, sums)| (sums.widened(), other.sums(point).widened()));
         let new = other.touched().filter(|(point, _)| self.sums(*point).rays() == 0);
-        both.chain(new.map(|(_, sums)| (VertexSums::default(), sums.widened()))).collect()
+        let all = both.chain(new.map(|(_, sums)| (VertexSums::default(), sums.widened())));
+        Ok(all.filter_map(|(a, b)| read(a, b)).collect())
     }
 
     fn keys(&self) -> Vec<u64> {

@@ -7,6 +7,8 @@ use rayon::prelude::*;
 
 use super::OctreePosterior;
 use super::key::{BlockCode, VertexKey};
+use super::runs::RunsReader;
+use super::sparse::Reader;
 use crate::Result;
 use crate::octree::{Cell, Leaves, MaskSet, Octree, Wanted, cells_around};
 use crate::posterior::{Reading, Sums, VertexSums};
@@ -148,41 +150,7 @@ impl<S: Sums> OctreePosterior<S> {
     /// # Errors
     /// If sums that left memory cannot be read.
     pub fn sums_at(&self, octree: &Octree) -> Result<Vec<VertexSums>> {
-        self.each_at(octree, S::widened)
-    }
-
-    /// What `read` makes of the sums at the vertices of an octree, in the order of their ids.
-    pub(super) fn each_at<T: Clone + Default + Send>(
-        &self,
-        octree: &Octree,
-        read: impl Fn(&S) -> T + Sync,
-    ) -> Result<Vec<T>> {
-        let mut all = vec![T::default(); octree.vertex_count()];
-        let groups = self.groups_at(octree).zip(all.par_chunks_mut(TOGETHER));
-        groups.try_for_each(|(group, all)| {
-            all.iter_mut().zip(group?).for_each(|(to, (_, sums))| *to = read(&sums));
-            Ok(())
-        })?;
-        Ok(all)
-    }
-
-    /// The vertices of an octree with their sums, in the order of their ids, in groups of [`TOGETHER`].
-    pub(crate) fn groups_at(&self, octree: &Octree) -> impl IndexedParallelIterator<Item = Result<Vec<([u32; 3], S)>>> {
-        let groups = octree.par_vertex_positions().chunks(TOGETHER).with_min_len(GROUPS_TOGETHER);
-        groups.map_init(
-            || (self.sums.reader(), self.runs.reader()),
-            |(reader, runs), points| {
-                let key = |&point: &[u32; 3]| VertexKey::new(point, self.coarseness(point));
-                let sums: Vec<S> = if self.runs.is_empty() {
-                    // All of them are found before the sums of any are read, so that their cache misses overlap.
-                    let found: Vec<_> = points.iter().map(|point| reader.find(key(point))).collect();
-                    found.into_iter().map(|sums| sums.copied().unwrap_or_default()).collect()
-                } else {
-                    points.iter().map(|point| runs.find(key(point))).collect::<Result<_>>()?
-                };
-                Ok(points.into_iter().zip(sums).collect())
-            },
-        )
+        read_groups(std::slice::from_ref(self), octree, |_, _, sums| sums[0].widened())
     }
 
     /// The vertices with more information than `floor`, block by block, in lists.
@@ -234,6 +202,65 @@ impl<S: Sums> OctreePosterior<S> {
             let of = |i: &u64| beside >> i & 1 == 1 && self.coarseness(code.vertex(*i).point()) == 0;
             (code, (0..64).filter(of).fold(0, |all, i| all | 1 << i))
         })
+    }
+}
+
+/// `[vertices]`: what `read` makes of the number of every vertex of an octree, its lattice point, and its sums in each of
+/// these `groups` of rays.
+pub fn read_groups<S: Sums, T: Clone + Default + Send>(
+    groups: &[OctreePosterior<S>],
+    octree: &Octree,
+    read: impl Fn(usize, [u32; 3], &[S]) -> T + Sync,
+) -> Result<Vec<T>> {
+    let mut all = vec![T::default(); octree.vertex_count()];
+    let some = all.par_chunks_mut(TOGETHER);
+    each_vertex(groups, octree, some, |some, v, point, sums| some[v % TOGETHER] = read(v, point, sums))?;
+    Ok(all)
+}
+
+/// Calls `visit` with the number of every vertex of an octree, its lattice point and its sums in each of these `groups` of
+/// rays. Each [`TOGETHER`] vertices have one of `places` to write to.
+pub fn each_vertex<S: Sums, O: Send>(
+    groups: &[OctreePosterior<S>],
+    octree: &Octree,
+    places: impl IndexedParallelIterator<Item = O>,
+    visit: impl Fn(&mut O, usize, [u32; 3], &[S]) + Sync,
+) -> Result<()> {
+    let points = octree.par_vertex_positions().chunks(TOGETHER).with_min_len(GROUPS_TOGETHER);
+    let lookups = || groups.iter().map(Lookup::new).collect::<Vec<_>>();
+    let visit_some = |lookups: &mut Vec<Lookup<S>>, (n, (points, mut place)): (usize, (Vec<[u32; 3]>, O))| {
+        let of_groups = lookups.iter_mut().map(|lookup| lookup.at(&points)).collect::<Result<Vec<_>>>()?;
+        let mut sums = Vec::with_capacity(groups.len());
+        for (i, point) in points.into_iter().enumerate() {
+            sums.clear();
+            sums.extend(of_groups.iter().map(|group| group[i]));
+            visit(&mut place, TOGETHER * n + i, point, &sums);
+        }
+        Ok(())
+    };
+    points.zip(places).enumerate().map_init(lookups, visit_some).collect()
+}
+
+/// Looks up the sums of vertices that are near each other.
+struct Lookup<'a, S: Sums> {
+    posterior: &'a OctreePosterior<S>,
+    reader: Reader<'a, S>,
+    runs: RunsReader<'a, S>,
+}
+
+impl<'a, S: Sums> Lookup<'a, S> {
+    fn new(posterior: &'a OctreePosterior<S>) -> Self {
+        Self { posterior, reader: posterior.sums.reader(), runs: posterior.runs.reader() }
+    }
+
+    fn at(&mut self, points: &[[u32; 3]]) -> Result<Vec<S>> {
+        let keys = points.iter().map(|&point| VertexKey::new(point, self.posterior.coarseness(point)));
+        if !self.posterior.runs.is_empty() {
+            return keys.map(|key| self.runs.find(key)).collect();
+        }
+        // All of them are found before the sums of any are read, so that their cache misses overlap.
+        let found: Vec<_> = keys.map(|key| self.reader.find(key)).collect();
+        Ok(found.into_iter().map(|sums| sums.copied().unwrap_or_default()).collect())
     }
 }
 

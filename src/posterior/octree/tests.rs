@@ -292,7 +292,9 @@ proptest! {
             pairs.sort_unstable();
             pairs
         };
-        prop_assert_eq!(sorted(whole[0].paired(&whole[1])), sorted(diagonal[0].paired(&diagonal[1])));
+        let all = |a, b| Some((a, b));
+        let [whole_pairs, diagonal_pairs] = [whole[0].paired(&whole[1], all), diagonal[0].paired(&diagonal[1], all)];
+        prop_assert_eq!(sorted(whole_pairs.unwrap()), sorted(diagonal_pairs.unwrap()));
 
         let ([whole, more], [diagonal, more_of_diagonal]) = (&mut whole, &mut diagonal);
         *whole += more;

@@ -28,7 +28,6 @@
 //! prior's, and no number states how much a first ray would change it.
 
 use half::f16;
-use rayon::prelude::*;
 
 use serde_json::Value;
 
@@ -36,7 +35,7 @@ use super::super::file::Source;
 use super::{Change, Layer, Sections};
 use crate::Result;
 use crate::metrics::median;
-use crate::posterior::{Reading, Sums, VertexSums};
+use crate::posterior::{Posterior, Reading, Sums, VertexSums};
 use crate::uncertainty::{MOVED, StandardDeviations, UncertaintyField};
 
 /// Root mean square errors of log10 σ_v, decades.
@@ -202,67 +201,84 @@ impl Layer for ErrorBars {
     }
 }
 
-/// `[vertices]`: the sums of all groups but `deleted`.
+/// The sums of all `groups` but `deleted`, at one vertex.
 ///
 /// They are summed anew, because subtracting from the total would leave rounding where the result is 0.
-fn summed<S: Sums>(groups: &[Vec<S>], deleted: Option<usize>) -> Vec<VertexSums> {
-    let others = || groups.iter().enumerate().filter(move |(g, _)| Some(*g) != deleted).map(|(_, group)| group);
-    let sum = |v: usize| {
-        let sum = others().fold(S::default(), |mut sum, group| {
-            sum += &group[v];
-            sum
-        });
-        sum.widened()
-    };
-    (0..groups[0].len()).into_par_iter().map(sum).collect()
+fn summed<S: Sums>(groups: &[S], deleted: Option<usize>) -> VertexSums {
+    let others = groups.iter().enumerate().filter(|(g, _)| Some(*g) != deleted);
+    let sum = others.fold(S::default(), |mut sum, (_, group)| {
+        sum += group;
+        sum
+    });
+    sum.widened()
+}
+
+/// Whether groups with these sums at a vertex show its error.
+fn is_known<S: Sums>(groups: &[S]) -> bool {
+    let seen = groups.iter().filter(|sums| sums.rays() > 0).count();
+    let rays: u64 = groups.iter().map(|sums| u64::from(sums.rays())).sum();
+    seen >= MIN_GROUPS_AND_RAYS.0 && rays >= MIN_GROUPS_AND_RAYS.1
 }
 
 impl UncertaintyField {
-    /// Adds the error of every log10 σ_v to the field, computed from the sums of independent groups of rays.
+    /// Adds the error of every log10 σ_v to the field, computed from the sums of independent `groups` of rays, of which
+    /// each comes from so many `rays`.
     ///
-    /// `groups[g]` is `[vertices]`, in the order of the field's own sums, and comes from `rays[g]` rays.
+    /// # Errors
+    /// If sums that left memory cannot be read.
     ///
     /// # Panics
-    /// If there are fewer than two groups, a group has no rays, or the lengths differ.
-    #[must_use]
-    pub fn with_error_bars<S: Sums>(mut self, groups: &[Vec<S>], rays: &[u64]) -> Self {
-        let vertices = self.deviations.len();
-        assert!(groups.iter().all(|group| group.len() == vertices), "one entry per vertex");
+    /// If there are fewer than two groups, a group has no rays, or they are on another kind of grid.
+    pub fn with_error_bars<P: Posterior>(mut self, groups: &[P], rays: &[u64]) -> Result<Self> {
         assert!(groups.len() == rays.len() && rays.len() >= 2 && rays.iter().all(|&m| m > 0), "groups with rays");
-        let all: u64 = rays.iter().sum();
-        let reading = self.record.reading();
-        let own_reading = reading.pooling.is_on().then(|| reading.unpooled());
-        let read = |reading: &Reading, deleted: Option<usize>, sums: &[VertexSums]| {
-            self.deviations_of(&Reading { rays: all - deleted.map_or(0, |g| rays[g]), ..*reading }, sums)
-        };
-        let (mut deleted, mut own_deleted) = (Vec::new(), Vec::new());
-        for g in 0..groups.len() {
-            let others = summed(groups, Some(g));
-            deleted.push(read(&reading, Some(g), &others));
-            own_deleted.extend(own_reading.map(|reading| read(&reading, Some(g), &others)));
-        }
-        let own = own_reading.map(|reading| read(&reading, None, &summed(groups, None)));
-        let log10 = |deviations: &StandardDeviations, v: usize| deviations.get(v).log10();
-        let logs = |of: &[StandardDeviations], v: usize| of.iter().map(|d| log10(d, v)).collect::<Vec<f64>>();
-        let error = |v: usize| {
-            let seen = groups.iter().filter(|group| group[v].rays() > 0).count();
-            let rays_here: u64 = groups.iter().map(|group| u64::from(group[v].rays())).sum();
-            if seen < MIN_GROUPS_AND_RAYS.0 || rays_here < MIN_GROUPS_AND_RAYS.1 {
+        let pooled = self.record.pooling.is_on();
+        let errors = if pooled { self.errors_of_pooled(groups, rays) } else { self.errors_of_own(groups, rays) }?;
+        self.layers.error_bars = Some(ErrorBars { groups: groups.len() as u16, errors });
+        Ok(self)
+    }
+
+    /// How sums are read without each group's rays.
+    fn deleted_readings(&self, rays: &[u64]) -> Vec<Reading> {
+        let (all, reading) = (rays.iter().sum::<u64>(), self.record.reading());
+        rays.iter().map(|m| Reading { rays: all - m, ..reading }).collect()
+    }
+
+    /// `[vertices]`: errors, vertex by vertex.
+    fn errors_of_own<P: Posterior>(&self, groups: &[P], rays: &[u64]) -> Result<Vec<u16>> {
+        let (deleted, limits) = (self.deleted_readings(rays), self.limits());
+        P::read_groups(groups, &self.support, |v, point, sums| {
+            if !is_known(sums) {
                 return UNKNOWN;
             }
-            let theta = Replicates { value: log10(&self.deviations, v), deleted: logs(&deleted, v) };
-            let error = match &own {
-                None => Jackknife::new(&theta, rays).error(),
-                Some(own) => {
-                    let own = Replicates { value: log10(own, v), deleted: logs(&own_deleted, v) };
-                    error_of_pooled(&theta, &own, rays)
-                }
-            };
-            f16::from_f64(error).to_bits()
+            let without = |g: usize| deleted[g].deviation_at(&limits, point, summed(sums, Some(g)));
+            let deleted = (0..groups.len()).map(|g| f64::from(without(g)).log10()).collect();
+            let theta = Replicates { value: self.deviations.get(v).log10(), deleted };
+            f16::from_f64(Jackknife::new(&theta, rays).error()).to_bits()
+        })
+    }
+
+    /// `[vertices]`: errors of pooled deviations, which depend on all sums around a vertex.
+    fn errors_of_pooled<P: Posterior>(&self, groups: &[P], rays: &[u64]) -> Result<Vec<u16>> {
+        let sums = |deleted| P::read_groups(groups, &self.support, |_, _, sums| summed(sums, deleted));
+        let (mut deleted, mut own_deleted) = (Vec::new(), Vec::new());
+        for (g, reading) in self.deleted_readings(rays).iter().enumerate() {
+            let others = sums(Some(g))?;
+            deleted.push(self.deviations_of(reading, &others));
+            own_deleted.push(self.deviations_of(&reading.unpooled(), &others));
+        }
+        let own = self.deviations_of(&self.record.reading().unpooled(), &sums(None)?);
+        let log10 = |of: &StandardDeviations, v: usize| of.get(v).log10();
+        let replicates = |v: usize, whole, parts: &[StandardDeviations]| Replicates {
+            value: log10(whole, v),
+            deleted: parts.iter().map(|part| log10(part, v)).collect(),
         };
-        let errors = (0..vertices).into_par_iter().map(error).collect();
-        self.layers.error_bars = Some(ErrorBars { groups: groups.len() as u16, errors });
-        self
+        P::read_groups(groups, &self.support, |v, _, sums| {
+            if !is_known(sums) {
+                return UNKNOWN;
+            }
+            let (theta, tau) = (replicates(v, &self.deviations, &deleted), replicates(v, &own, &own_deleted));
+            f16::from_f64(error_of_pooled(&theta, &tau, rays)).to_bits()
+        })
     }
 
     /// Summary of the error bars of the moved vertices, if the field has error bars.

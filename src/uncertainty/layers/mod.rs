@@ -20,6 +20,7 @@ pub use self::color_spread::{ColorSpread, ColorSums};
 pub use self::conformal::Conformal;
 pub use self::error_bars::{ErrorBars, ErrorSummary};
 pub use self::residuals::{ResidualSums, Residuals};
+pub(super) use self::sums::each_sums;
 use super::file::Source;
 use crate::Result;
 use crate::io::container::Section;

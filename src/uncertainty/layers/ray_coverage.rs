@@ -29,7 +29,7 @@ impl Layer for RayCoverage {
 
     fn read(_head: Value, file: &mut Source) -> Result<Self> {
         let is_part = file.layers.is_part(&file.record);
-        let counts = if file.has("counted") {
+        let counts = if file.bytes("counted") > 0 {
             if !is_part {
                 return Err(file.malformed("section `counted`", "counts of a part of a run", "a whole run's"));
             }

@@ -4,10 +4,10 @@ use serde_json::Value;
 
 use super::super::file::Source;
 use super::{Change, Layer, Sections};
-use crate::Result;
-use crate::io::container::Section;
+use crate::io::container::{Item, Section};
 use crate::posterior::{FactoredSums, VertexSums};
 use crate::uncertainty::UncertaintyField;
+use crate::{Error, Result};
 
 impl Layer for Vec<VertexSums> {
     const NAME: &'static str = "sums";
@@ -24,22 +24,15 @@ impl Layer for Vec<VertexSums> {
     }
 
     fn read(_head: Value, file: &mut Source) -> Result<Self> {
-        let sums: Self = if file.has("exact") {
-            file.section("exact")?
-        } else {
-            let factors: Vec<FactoredSums> = file.section("factors")?;
-            if let Some(i) = factors.iter().position(|factor| !factor.is_valid()) {
-                let place = format!("section `factors`, entry {i}");
-                return Err(file.malformed(place, "a Cholesky factor", format!("{:?}", factors[i])));
-            }
-            factors.iter().map(FactoredSums::sums).collect()
-        };
-        file.expect_one_per_vertex("sums", sums.len())?;
-        if let Some(i) = sums.iter().position(|e| !e.is_valid()) {
-            let place = format!("section `sums`, entry {i}");
-            return Err(file.malformed(place, "sums that rays can give", format!("{:?}", sums[i])));
-        }
-        Ok(sums)
+        // No more than the file holds.
+        let [exact, factors] = [("exact", VertexSums::SIZE), ("factors", FactoredSums::SIZE)]
+            .map(|(section, size)| file.bytes(section) as usize / size);
+        let mut all = Self::with_capacity(exact.max(factors));
+        each_sums(file, |sums| {
+            all.push(sums);
+            Ok(())
+        })?;
+        Ok(all)
     }
 
     // A merge adds them at the vertices of another octree, which it finds by them.
@@ -51,6 +44,32 @@ impl Layer for Vec<VertexSums> {
     fn info(&self) -> String {
         "every covariance, and merging with fields of other rays".into()
     }
+}
+
+/// Reads sums and checks them: calls `visit` with those of each vertex, in their order.
+pub fn each_sums(file: &mut Source, mut visit: impl FnMut(VertexSums) -> Result<()>) -> Result<()> {
+    let (name, path) = (if file.bytes("exact") > 0 { "exact" } else { "factors" }, file.path.clone());
+    let wrong = |section: &str, i: usize, expected: &str, found: String| {
+        Error::malformed(&path, format!("section `{section}`, entry {i}"), expected, found)
+    };
+    let mut visit = |i: usize, sums: VertexSums| {
+        if sums.is_valid() {
+            visit(sums)
+        } else {
+            Err(wrong("sums", i, "sums that rays can give", format!("{sums:?}")))
+        }
+    };
+    let count = if name == "exact" {
+        file.each(name, visit)?
+    } else {
+        file.each(name, |i, factor: FactoredSums| {
+            if !factor.is_valid() {
+                return Err(wrong(name, i, "a Cholesky factor", format!("{factor:?}")));
+            }
+            visit(i, factor.sums())
+        })?
+    };
+    file.expect_one_per_vertex("sums", count)
 }
 
 /// Sums, written as their factors. These are computed on the way: all of them would take half as much again as the

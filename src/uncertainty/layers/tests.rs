@@ -7,7 +7,7 @@ use super::*;
 use crate::geometry::{Aabb, Lattice};
 use crate::posterior::{Covariance, DataScale, OctreePosterior, Posterior, Scale};
 use crate::rays::Shard;
-use crate::uncertainty::tests::{on_own_octree, record, samples};
+use crate::uncertainty::tests::{barred, on_own_octree, record, samples};
 use crate::uncertainty::{RunRecord, Support, UncertaintyField, merge};
 
 fn residuals(lattice: &Lattice) -> Residuals {
@@ -42,8 +42,7 @@ fn field(seed: u64, shard: Shard, is_dense: bool) -> UncertaintyField {
     let sums = field.sums().unwrap().to_vec();
     let more = sums.iter().map(|own| VertexSums::new(own.information.map(|s| 2.0 * s), 9)).collect();
     let counts = (0..1 << 18).map(|i| i % 13).collect();
-    field = field
-        .with_error_bars(&[sums, more], &[1000, 2072])
+    field = barred(field, [sums, more], &[1000, 2072])
         .with_surface(vec![[0.25, -0.5, 0.125], [0.5; 3]])
         .with_ray_coverage(RayCoverage::from_counts(&lattice, counts))
         .with_conformal(Conformal { probability: 0.9, factor: 1.5, pixels: 100, views: 2 });

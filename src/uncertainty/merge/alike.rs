@@ -20,6 +20,19 @@ pub fn check(heads: &[Head]) -> Result<()> {
     Ok(())
 }
 
+/// Refuses parts whose differences do not show the error of their rays.
+pub fn check_independent(heads: &[Head]) -> Result<()> {
+    for (i, head) in heads.iter().enumerate() {
+        let is_of_seed = |other: &&Head| head.ray_sets.iter().any(|a| other.ray_sets.iter().any(|b| a.seed == b.seed));
+        if let Some(other) = heads[..i].iter().find(is_of_seed) {
+            let expected = "different seeds: shards of one seed are not independent";
+            let found = format!("{} and {} of one seed", other.name, head.name);
+            return Err(Error::setting("fields to compare", expected, found));
+        }
+    }
+    Ok(())
+}
+
 /// Whether two parts may count the same rays at the same vertices.
 fn may_share_rays(a: &Head, b: &Head) -> bool {
     if a.ray_sets.is_empty() || b.ray_sets.is_empty() {

@@ -6,14 +6,15 @@ mod shards;
 
 pub(super) use parts::Head;
 
+use std::path::PathBuf;
+
 use self::parts::{Part, heads};
 use super::UncertaintyField;
-use crate::posterior::VertexSums;
+use crate::posterior::{DensePosterior, DiagonalSums, Entries, OctreePosterior};
 use crate::rays::RaySet;
 use crate::{Error, Result};
 
-/// Joins `parts`, fields or paths of their files, into the field of all their rays. Only one file is in memory at a
-/// time, beside what it is added to.
+/// How fields of different rays are joined.
 ///
 /// Information adds up. Shards of one run keep all of theirs. Joined, they have the vertices of a run over all rays, at
 /// any tolerance. The sums differ only by the order of f64 additions, a relative n ε for n rays at a vertex. The order
@@ -23,43 +24,76 @@ use crate::{Error, Result};
 /// Runs with other seeds left out what was negligible for their own R rays, where their octrees are coarse. The
 /// total stays negligible for the sum of the R, and nothing beyond that is left out here. log10 U is within the
 /// tolerance of the dense grid of all rays. Error bars of the parts are dropped, because the sums of their groups
-/// are no longer available ([`merge_with_error_bars`]).
+/// are no longer available.
 ///
-/// # Errors
-/// If there are fewer than two parts, a part has no sums, parts differ in model, cameras or a setting that
-/// affects a sum, two of them may count the same rays, or a file cannot be read.
-pub fn merge(parts: &[impl Part]) -> Result<UncertaintyField> {
-    let heads = heads(parts)?;
-    if heads.len() < 2 {
-        let found = if heads.is_empty() { "none" } else { "one" };
-        return Err(Error::setting("fields to merge", "two or more", found));
-    }
-    alike::check(&heads)?;
-    shards::add(parts, &heads, &in_one_order(&heads))
+/// Memory does not grow with the number of parts or with their sums: those of files are read vertex by vertex, and what
+/// 256 MB have no room for goes to disk, as in a run under a [budget](crate::estimate::GridSettings::memory). Beside it,
+/// there are the octree of one part, and the joined field.
+#[derive(Debug, Clone)]
+#[must_use]
+pub struct Merging {
+    keep_sums: bool,
+    error_bars: bool,
+    scratch: PathBuf,
+    /// Bytes that sums may take in memory.
+    room: usize,
 }
 
-/// Same as [`merge`], with error bars, for which all parts are in memory. The parts are the groups of rays that the
-/// jackknife compares, whether or not they have error bars themselves.
-///
-/// # Errors
-/// As [`merge`], or if two parts are shards of one low-discrepancy sequence. They complement each other, so their
-/// differences would overstate the error.
-pub fn merge_with_error_bars(parts: &[impl Part]) -> Result<UncertaintyField> {
-    let heads = heads(parts)?;
-    let merged = merge(parts)?;
-    for (i, head) in heads.iter().enumerate() {
-        let is_of_seed = |other: &&Head| head.ray_sets.iter().any(|a| other.ray_sets.iter().any(|b| a.seed == b.seed));
-        if let Some(other) = heads[..i].iter().find(is_of_seed) {
-            let expected = "different seeds: shards of one seed are not independent";
-            let found = format!("{} and {} of one seed", other.name, head.name);
-            return Err(Error::setting("fields to compare", expected, found));
+impl Default for Merging {
+    fn default() -> Self {
+        Self { keep_sums: true, error_bars: false, scratch: std::env::temp_dir(), room: 256_000_000 }
+    }
+}
+
+impl Merging {
+    /// Sets whether the joined field keeps its sums, as it does by default, and while shards are missing.
+    pub fn keep_sums(self, keep_sums: bool) -> Self {
+        Self { keep_sums, ..self }
+    }
+
+    /// Sets whether the joined field has error bars. The parts are the groups of rays that the jackknife compares,
+    /// whether or not they have error bars themselves.
+    pub fn error_bars(self, error_bars: bool) -> Self {
+        Self { error_bars, ..self }
+    }
+
+    /// Sets the folder of temporary files. The default is the system's, which may be memory itself.
+    pub fn scratch(self, folder: impl Into<PathBuf>) -> Self {
+        Self { scratch: folder.into(), ..self }
+    }
+
+    /// Joins `parts`, fields or paths of their files, into the field of all their rays.
+    ///
+    /// # Errors
+    /// If there are fewer than two parts, a part has no sums, parts differ in model, cameras or a setting that
+    /// affects a sum, two of them may count the same rays, or a file cannot be read or written. With error bars also if
+    /// two parts are shards of one low-discrepancy sequence. They complement each other, so their differences would
+    /// overstate the error.
+    pub fn join(&self, parts: &[impl Part]) -> Result<UncertaintyField> {
+        let heads = heads(parts)?;
+        let Some(first) = heads.first().filter(|_| heads.len() > 1) else {
+            let found = if heads.is_empty() { "none" } else { "one" };
+            return Err(Error::setting("fields to merge", "two or more", found));
+        };
+        alike::check(&heads)?;
+        if self.error_bars {
+            alike::check_independent(&heads)?;
+        }
+        let joining = shards::Joining::new(self, &heads, in_one_order(&heads));
+        match (first.is_dense, joining.entries()) {
+            (true, _) => joining.join::<DensePosterior>(parts),
+            (false, Entries::All) => joining.join::<OctreePosterior>(parts),
+            (false, Entries::Diagonal) => joining.join::<OctreePosterior<DiagonalSums>>(parts),
         }
     }
-    let order = in_one_order(&heads);
-    let sums = |&i: &usize| parts[i].field().map(|part| shards::sums_at(&merged, &part));
-    let groups = order.iter().map(sums).collect::<Result<Vec<Vec<VertexSums>>>>()?;
-    let rays: Vec<u64> = order.iter().map(|&i| heads[i].record.rays).collect();
-    Ok(merged.with_error_bars(&groups, &rays))
+}
+
+/// Joins fields as [`Merging`] does by default.
+///
+/// # Errors
+/// As [`Merging::join`].
+pub fn merge(parts: &[impl Part]) -> Result<UncertaintyField> {
+    Merging::default().join(parts)
 }
 
 /// The parts by seed and shard, so that what is joined does not depend on the order in which they are given, bit for

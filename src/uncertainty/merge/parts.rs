@@ -1,11 +1,13 @@
-//! The parts of a run. Only one of them at a time needs to be in memory.
+//! The parts of a run. The sums of a file are read vertex by vertex.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
 
 use crate::Result;
 use crate::geometry::Lattice;
+use crate::posterior::VertexSums;
 use crate::rays::RaySet;
+use crate::uncertainty::layers::Layers;
 use crate::uncertainty::{RunRecord, Support, UncertaintyField};
 
 /// What is known of a part before its sums are read.
@@ -24,8 +26,10 @@ pub struct Head {
 pub trait Part {
     /// What is known before its sums are read; messages count parts from 1.
     fn head(&self, number: usize) -> Result<Head>;
-    /// The whole part.
-    fn field(&self) -> Result<Cow<'_, UncertaintyField>>;
+    /// Where its vertices are, and its layers; they may lack the sums.
+    fn without_sums(&self) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)>;
+    /// Calls `visit` with the sums at each of its `vertices`, in their order. Returns whether it has sums.
+    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<bool>;
 }
 
 impl Part for UncertaintyField {
@@ -40,8 +44,27 @@ impl Part for UncertaintyField {
         })
     }
 
-    fn field(&self) -> Result<Cow<'_, UncertaintyField>> {
-        Ok(Cow::Borrowed(self))
+    fn without_sums(&self) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)> {
+        Ok((Cow::Borrowed(&self.support), Cow::Borrowed(&self.layers)))
+    }
+
+    fn each_sums(&self, _vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<bool> {
+        self.sums().into_iter().flatten().copied().try_for_each(visit)?;
+        Ok(self.sums().is_some())
+    }
+}
+
+impl<P: Part> Part for &P {
+    fn head(&self, number: usize) -> Result<Head> {
+        (*self).head(number)
+    }
+
+    fn without_sums(&self) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)> {
+        (*self).without_sums()
+    }
+
+    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<bool> {
+        (*self).each_sums(vertices, visit)
     }
 }
 
@@ -50,8 +73,13 @@ impl Part for PathBuf {
         UncertaintyField::read_head(self)
     }
 
-    fn field(&self) -> Result<Cow<'_, UncertaintyField>> {
-        UncertaintyField::read(self).map(Cow::Owned)
+    fn without_sums(&self) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)> {
+        let (support, layers) = UncertaintyField::read_without_sums(self)?;
+        Ok((Cow::Owned(support), Cow::Owned(layers)))
+    }
+
+    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<bool> {
+        UncertaintyField::each_sums(self, vertices, visit)
     }
 }
 

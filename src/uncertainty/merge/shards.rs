@@ -1,71 +1,181 @@
 //! Adds up the sums of different rays.
 
+use super::Merging;
 use super::parts::{Head, Part};
-use crate::octree::VertexId;
-use crate::posterior::{DensePosterior, OctreePosterior, Reading, Refinement, VertexSums};
+use crate::geometry::Lattice;
+use crate::octree::{Cell, MaxLevels};
+use crate::posterior::overflow::Overflow;
+use crate::posterior::{Entries, Reading, Refinement, VertexSums};
 use crate::rays::RaySet;
 use crate::uncertainty::layers::Layers;
-use crate::uncertainty::{RunRecord, Support, UncertaintyField};
+use crate::uncertainty::{Finish, RunRecord, Support, UncertaintyField};
 use crate::{Error, Result};
 
-/// Adds the parts of these numbers, one after the other.
-pub fn add(parts: &[impl Part], heads: &[Head], order: &[usize]) -> Result<UncertaintyField> {
-    let of: Vec<&Head> = order.iter().map(|&i| &heads[i]).collect();
-    let ray_sets = ray_sets(&of);
-    let record = record(&of, &ray_sets);
-    let first = of[0];
-    let (mut layers, mut most) = (None::<Layers>, 0);
-    let mut wanted = Vec::new();
-    let mut dense = first.is_dense.then(|| DensePosterior::new(first.lattice).into_sums());
-    let mut posterior = OctreePosterior::new(first.lattice);
-    for &i in order {
-        let part = parts[i].field()?;
-        let kept = part.sums().ok_or_else(|| {
-            Error::setting("kept sums", "fields that keep their sums", format!("{}, which does not", heads[i].name))
+/// Vertices that are added before the room is looked at.
+const TOGETHER: u64 = 1 << 16;
+
+/// What is joined, and how.
+pub struct Joining<'a> {
+    settings: &'a Merging,
+    /// Those of all parts, as they are given.
+    heads: &'a [Head],
+    /// In which order they are added.
+    order: Vec<usize>,
+    ray_sets: Vec<RaySet>,
+    record: RunRecord,
+}
+
+impl<'a> Joining<'a> {
+    pub fn new(settings: &'a Merging, heads: &'a [Head], order: Vec<usize>) -> Self {
+        let of: Vec<&Head> = order.iter().map(|&i| &heads[i]).collect();
+        let ray_sets = ray_sets(&of);
+        let record = record(&of, &ray_sets);
+        Self { settings, heads, order, ray_sets, record }
+    }
+
+    /// Whether the field is made of a copy of all sums.
+    fn gathers_sums(&self) -> bool {
+        let is_part = self.record.is_part() || self.ray_sets.iter().any(RaySet::is_part);
+        self.settings.keep_sums || is_part || self.record.pooling.is_on()
+    }
+
+    /// What the joined field needs of S.
+    pub fn entries(&self) -> Entries {
+        if self.gathers_sums() { Entries::All } else { self.record.covariance.entries() }
+    }
+
+    /// Adds the parts, one after the other.
+    pub fn join<P: Finish>(&self, parts: &[impl Part]) -> Result<UncertaintyField> {
+        let overflow = Overflow::new(self.settings.room, &self.settings.scratch, None);
+        let lattice = self.heads[self.order[0]].lattice;
+        let mut beside = Beside::default();
+        // Those of all parts, or of each.
+        let mut sums: Vec<P> = Vec::new();
+        for &i in &self.order {
+            let (support, layers) = parts[i].without_sums()?;
+            beside.add(self, i, &layers)?;
+            if let (true, Support::Octree(octree)) = (self.keeps_leaves(), &*support) {
+                octree.cells().for_each_leaf(|leaf| beside.wanted.push(leaf));
+            }
+            if sums.is_empty() || self.settings.error_bars {
+                sums.push(P::empty(lattice, &beside.limits(&lattice)));
+            }
+            let last = sums.len() - 1;
+            self.add(&mut sums[last], &parts[i], i, &support, &overflow)?;
+            let has_left = sums.iter().any(|group| !group.runs().is_empty());
+            if self.settings.error_bars && (has_left || sums.iter().map(P::memory).sum::<usize>() > self.settings.room)
+            {
+                sums.iter_mut().try_for_each(|group| overflow.spill_to_one(group))?;
+            }
+        }
+        let whole = if self.settings.error_bars {
+            let mut whole = P::empty(lattice, &beside.limits(&lattice));
+            sums.iter().for_each(|group| whole += group);
+            whole
+        } else {
+            sums.pop().expect("there are parts")
+        };
+        let field = self.field(whole, lattice, beside, &overflow)?;
+        if !self.settings.error_bars {
+            return Ok(field);
+        }
+        let rays: Vec<u64> = self.order.iter().map(|&i| self.heads[i].record.rays).collect();
+        field.with_error_bars(&sums, &rays)
+    }
+
+    /// Whether what was refined for reasons other than information stays refined.
+    fn keeps_leaves(&self) -> bool {
+        self.record.criteria.density || self.record.criteria.uniform
+    }
+
+    /// Adds the sums of the part of number `i`.
+    fn add<P: Finish>(
+        &self,
+        to: &mut P,
+        part: &impl Part,
+        i: usize,
+        support: &Support,
+        overflow: &Overflow,
+    ) -> Result<()> {
+        let lattice = self.heads[i].lattice;
+        let mut points: Box<dyn Iterator<Item = [u32; 3]>> = match support {
+            Support::Octree(octree) => Box::new(octree.vertex_positions()),
+            Support::Dense => Box::new((0..support.vertices(&lattice)).map(|v| lattice.dense_point(v as usize))),
+        };
+        let mut count = 0_u64;
+        let has_sums = part.each_sums(support.vertices(&lattice), &mut |sums| {
+            let point = points.next().expect("sums of a field are one per vertex");
+            // Vertices that only balance the octree take no room.
+            if sums != VertexSums::default() {
+                to.add_sums(point, &sums);
+            }
+            count += 1;
+            if count.is_multiple_of(TOGETHER) { overflow.spill_if_full(to).map(|_| ()) } else { Ok(()) }
         })?;
-        match &mut layers {
-            None => {
-                posterior = OctreePosterior::limited(first.lattice, part.limits());
-                layers = Some(part.layers.to_merge());
-            }
-            Some(layers) if layers.limits != part.layers.limits => {
-                let expected = format!("those of {}", first.name);
-                return Err(Error::setting(format!("limits to refinement of {}", heads[i].name), expected, "others"));
-            }
-            Some(layers) => layers.merge(&part.layers),
+        if has_sums {
+            return overflow.spill_if_full(to).map(|_| ());
         }
-        most = most.max(part.surface().len());
-        match (&part.support, &mut dense) {
-            (Support::Octree(octree), None) => {
-                // What was refined for reasons other than information stays refined.
-                if record.criteria.density || record.criteria.uniform {
-                    octree.cells().for_each_leaf(|leaf| wanted.push(leaf));
-                }
-                octree.vertex_positions().zip(kept).for_each(|(point, sums)| posterior.add_sums_at(point, sums));
-            }
-            (_, Some(sums)) => sums.iter_mut().zip(kept).for_each(|(sum, more)| *sum += more),
-            (Support::Dense, None) => unreachable!("the grids were compared"),
-        }
+        let found = format!("{}, which does not", self.heads[i].name);
+        Err(Error::setting("kept sums", "fields that keep their sums", found))
     }
-    let mut field = match dense {
-        Some(sums) => UncertaintyField::new(record, first.lattice, Support::Dense, sums),
-        None => {
-            let octree = posterior.octree(&Refinement::above(
-                floor(&of, &ray_sets),
-                &record.reading(),
-                record.criteria,
-                wanted,
-            ))?;
-            UncertaintyField::on_octree(record, first.lattice, posterior, octree, true)?
+
+    /// The field of all sums.
+    fn field<P: Finish>(
+        &self,
+        mut sums: P,
+        lattice: Lattice,
+        beside: Beside,
+        overflow: &Overflow,
+    ) -> Result<UncertaintyField> {
+        overflow.spill_rest(&mut sums)?;
+        let Beside { layers, most, wanted } = beside;
+        let reading = self.record.reading();
+        let of: Vec<&Head> = self.order.iter().map(|&i| &self.heads[i]).collect();
+        let floor = floor(&of, &self.ray_sets);
+        let vertices = sums.vertices(&Refinement::above(floor, &reading, self.record.criteria, wanted))?;
+        let mut field = sums.field(self.record.clone(), lattice, vertices, self.gathers_sums())?;
+        let mut layers = layers.unwrap_or_default();
+        if let Some(surface) = &mut layers.surface {
+            surface.truncate(most);
         }
-    };
-    let mut layers = layers.unwrap_or_default();
-    if let Some(surface) = &mut layers.surface {
-        surface.truncate(most);
+        let (sums, ray_coverage) = (field.layers.sums.take(), layers.ray_coverage.take());
+        field.layers = Layers { sums, ..layers };
+        let field = field.with_ray_coverage(ray_coverage);
+        Ok(if self.settings.keep_sums { field } else { field.for_queries() })
     }
-    let (sums, ray_coverage) = (field.layers.sums.take(), layers.ray_coverage.take());
-    field.layers = Layers { sums, ..layers };
-    Ok(field.with_ray_coverage(ray_coverage))
+}
+
+/// What fields have beside their sums.
+#[derive(Default)]
+struct Beside {
+    layers: Option<Layers>,
+    /// Largest number of points on surfaces of a part.
+    most: usize,
+    /// Cells that must exist regardless of the sums.
+    wanted: Vec<Cell>,
+}
+
+impl Beside {
+    /// Adds the layers of the part of number `i`.
+    fn add(&mut self, joining: &Joining, i: usize, own: &Layers) -> Result<()> {
+        match &mut self.layers {
+            None => self.layers = Some(own.to_merge()),
+            Some(layers) if layers.limits != own.limits => {
+                let expected = format!("those of {}", joining.heads[joining.order[0]].name);
+                let what = format!("limits to refinement of {}", joining.heads[i].name);
+                return Err(Error::setting(what, expected, "others"));
+            }
+            Some(layers) => layers.merge(own),
+        }
+        self.most = self.most.max(own.surface.as_ref().map_or(0, Vec::len));
+        Ok(())
+    }
+
+    /// Those of all parts.
+    fn limits(&self, lattice: &Lattice) -> MaxLevels {
+        let limits = self.layers.as_ref().and_then(|layers| layers.limits.clone());
+        limits.unwrap_or_else(|| MaxLevels::none(lattice.level()))
+    }
 }
 
 /// The rays of all parts; unknown if those of one part are.
@@ -74,18 +184,6 @@ fn ray_sets(of: &[&Head]) -> Vec<RaySet> {
         return Vec::new();
     }
     RaySet::joined(of.iter().flat_map(|head| &head.ray_sets).copied())
-}
-
-/// The sums of `part` at the vertices of `whole`.
-pub fn sums_at(whole: &UncertaintyField, part: &UncertaintyField) -> Vec<VertexSums> {
-    let own = part.sums().unwrap_or_default();
-    match (&whole.support, &part.support) {
-        (Support::Octree(whole), Support::Octree(octree)) => {
-            let vertex = |point| octree.vertex(point).map_or(VertexSums::default(), |VertexId(v)| own[v as usize]);
-            whole.vertex_positions().map(vertex).collect()
-        }
-        _ => own.to_vec(),
-    }
 }
 
 /// The information that may still be left out where octrees are joined: together with what the parts left out,

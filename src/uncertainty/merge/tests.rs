@@ -12,10 +12,11 @@ use rand::{Rng, RngExt, SeedableRng};
 use super::*;
 use crate::geometry::{Aabb, Lattice};
 use crate::posterior::{
-    Covariance, DataScale, DensePosterior, OctreePosterior, RayCoverage, Scale, negligible_information,
+    Covariance, DataScale, DensePosterior, OctreePosterior, Posterior, RayCoverage, Scale, VertexSums,
+    negligible_information,
 };
 use crate::rays::Shard;
-use crate::uncertainty::tests::on_own_octree;
+use crate::uncertainty::tests::{barred, on_own_octree};
 use crate::uncertainty::{ResidualSums, RunRecord, Support};
 
 const LEVEL: u8 = 4;
@@ -58,7 +59,7 @@ fn part(seed: u64, shard: Shard, is_dense: bool, random: &mut impl Rng) -> Made 
         UncertaintyField::new(record, lattice, Support::Dense, all)
     } else {
         let mut posterior = OctreePosterior::new(lattice);
-        sums.iter().for_each(|(point, own)| posterior.add_sums_at(*point, own));
+        sums.iter().for_each(|(point, own)| posterior.add_sums(*point, own));
         on_own_octree(record, lattice, posterior)
     };
     let surface = (0..random.random_range(0..6)).map(|_| [random.random_range(-1.0..1.0); 3]).collect();
@@ -177,7 +178,7 @@ fn what_counts_in_the_shorter_run_counts_in_both() {
         };
         let entry = times * negligible_information(record.tolerance, rays, record.lambda) / 3.0;
         let mut posterior = OctreePosterior::new(lattice);
-        posterior.add_sums_at(point, &VertexSums::new([entry, 0.0, 0.0, entry, 0.0, entry], 3));
+        posterior.add_sums(point, &VertexSums::new([entry, 0.0, 0.0, entry, 0.0, entry], 3));
         on_own_octree(record, lattice, posterior)
     };
     let (short, long) = (run(0, 1024, [5, 6, 7], 3.0), run(1, 102_400, [12, 3, 9], 3.0));
@@ -205,6 +206,47 @@ fn one_part_of_unknown_rays_makes_all_unknown() {
     }
 }
 
+/// Whatever the room for sums, files or fields: the sums are integers here, so that all bits are the same.
+#[test]
+fn sums_that_leave_memory_join_to_the_same_field() {
+    let random = &mut ChaCha8Rng::seed_from_u64(8);
+    let folder = tempfile::tempdir().unwrap();
+    let scratch = tempfile::tempdir().unwrap();
+    let fields: Vec<UncertaintyField> =
+        (0..5).map(|seed| part(seed, Shard::whole(512 * (seed + 2)), false, random).field).collect();
+    let file = |i: usize| folder.path().join(format!("{i}.oct"));
+    fields.iter().enumerate().for_each(|(i, field)| field.write(&file(i)).unwrap());
+    let files: Vec<PathBuf> = (0..5).map(file).collect();
+    let read: Vec<UncertaintyField> = files.iter().map(|file| UncertaintyField::read(file).unwrap()).collect();
+    for [keep_sums, error_bars] in [[true, false], [false, false], [true, true], [false, true]] {
+        let with = |room| {
+            let settings = Merging::default().keep_sums(keep_sums).error_bars(error_bars).scratch(scratch.path());
+            Merging { room, ..settings }
+        };
+        let free = with(usize::MAX).join(&read).unwrap();
+        assert_eq!((free.sums().is_some(), free.error_bars().is_some()), (keep_sums, error_bars));
+        // Factors in files round; of shards, sums are exact.
+        assert!(with(usize::MAX).join(&files).unwrap() == free);
+        let bound = with(1).join(&files).unwrap();
+        assert!(bound.support() == free.support() && bound.rays() == free.rays());
+        let close = |a: f64, b: f64| (a - b).abs() <= 1e-6 * b;
+        assert!(bound.deviations().iter().zip(free.deviations().iter()).all(|(a, b)| close(a, b)));
+        let bars = |field: &UncertaintyField| field.error_bars().cloned();
+        let [of_bound, of_free] = [&bound, &free].map(bars);
+        for (a, b) in of_bound.iter().zip(&of_free) {
+            let known = (0..a.len()).filter(|&v| a.get(v).is_some()).count();
+            assert!(known > 50 && (0..a.len()).all(|v| a.get(v).is_some() == b.get(v).is_some()), "{known}");
+            let off = |v: usize| a.get(v).zip(b.get(v)).map_or(0.0, |(a, b)| (a - b).abs() - 2e-3 * b);
+            assert!((0..a.len()).all(|v| off(v) < 1e-6));
+        }
+    }
+    // A folder in which nothing can be written is named; without need of it, it is not looked at.
+    let nowhere = Merging::default().scratch(folder.path().join("none"));
+    assert!(nowhere.join(&files).is_ok());
+    let error = Merging { room: 1, ..nowhere }.join(&files).err().expect("no folder for sums").to_string();
+    assert!(error.contains("none"), "{error}");
+}
+
 /// Error bars compare parts with what each of them has, in whatever order they are given.
 #[test]
 fn error_bars_of_merged_parts_do_not_depend_on_their_order() {
@@ -213,9 +255,9 @@ fn error_bars_of_merged_parts_do_not_depend_on_their_order() {
     let lengths = [512 * 6, 512 * 9, 512 * 30];
     let parts: Vec<Made> = (0..3).map(|i| part(7 - i, Shard::whole(lengths[i as usize]), true, random)).collect();
     let fields: Vec<UncertaintyField> = parts.iter().map(|part| part.field.clone()).collect();
-    let merged = merge_with_error_bars(&fields).unwrap();
-    let groups: Vec<Vec<VertexSums>> = fields.iter().map(|field| field.sums().unwrap().to_vec()).collect();
-    let expected = merge(&fields).unwrap().with_error_bars(&groups, &lengths);
+    let merged = Merging::default().error_bars(true).join(&fields).unwrap();
+    let groups = [0, 1, 2].map(|i| fields[i].sums().unwrap().to_vec());
+    let expected = barred(merge(&fields).unwrap(), groups, &lengths);
     let bars = |field: &UncertaintyField| {
         let bars = field.error_bars().unwrap();
         (0..bars.len()).map(|v| bars.get(v)).collect::<Vec<_>>()

@@ -23,7 +23,7 @@ pub(super) fn with_bars(field: UncertaintyField) -> UncertaintyField {
         };
         sums.iter().enumerate().map(part).collect()
     };
-    field.with_error_bars(&[group(0), group(1), group(2)], &[8, 7, 5])
+    barred(field, [0, 1, 2].map(group), &[8, 7, 5])
 }
 
 #[test]

@@ -120,7 +120,7 @@ fn with_arbitrary_bars(field: UncertaintyField) -> UncertaintyField {
         };
         sums.iter().enumerate().map(part).collect()
     };
-    field.with_error_bars(&[group(0), group(1), group(2)], &[7, 7, 6])
+    barred(field, [0, 1, 2].map(group), &[7, 7, 6])
 }
 
 #[test]

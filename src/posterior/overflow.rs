@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use super::{Fill, Posterior, Sums};
 use crate::io::place::folder_of;
 use crate::io::remove_leftovers;
 use crate::io::sorted::SortedFile;
-use crate::posterior::{Fill, Posterior, Sums};
 use crate::render::RaySamples;
 use crate::{Error, Result};
 
@@ -18,7 +18,7 @@ const SHARE_OF_SUMS: f64 = 0.7;
 const LEAST: u64 = 16_000_000;
 /// Runs that are read side by side: files that are open, and pages of each in every thread. If there are as many, they
 /// are merged into one.
-const MOST_RUNS: usize = 64;
+pub const MOST_RUNS: usize = 64;
 /// What the extension of a run's file begins with.
 const RUN: &str = "run";
 /// Samples that are summed before the room is looked at.
@@ -26,13 +26,13 @@ const SAMPLES: usize = 1 << 16;
 
 /// Bytes of a budget that sums may take, beside a model of so many bytes. They depend on nothing else, so that runs of
 /// sums end after the same rays on every machine.
-pub(super) fn room_for_sums(budget: u64, model: usize) -> usize {
+pub fn room_for_sums(budget: u64, model: usize) -> usize {
     (budget.saturating_sub(model as u64 + PROGRAM) as f64 * SHARE_OF_SUMS) as usize
 }
 
 /// The smallest budget of a process that already takes so many bytes, with its model: it has room for some sums, and
 /// for rays under way.
-pub(super) fn least_budget(taken: u64, model: usize) -> u64 {
+pub fn least_budget(taken: u64, model: usize) -> u64 {
     let fixed = model as u64 + PROGRAM;
     // budget - room >= taken + LEAST
     let beside = (taken + LEAST) as f64 - SHARE_OF_SUMS * fixed as f64;
@@ -41,7 +41,7 @@ pub(super) fn least_budget(taken: u64, model: usize) -> u64 {
 }
 
 /// The batches in portions of some [`SAMPLES`] each, whatever the number of threads.
-pub(super) fn portions(batches: &[RaySamples]) -> impl Iterator<Item = &[RaySamples]> {
+pub fn portions(batches: &[RaySamples]) -> impl Iterator<Item = &[RaySamples]> {
     let mut rest = batches;
     std::iter::from_fn(move || {
         let mut samples = 0;
@@ -58,7 +58,7 @@ pub(super) fn portions(batches: &[RaySamples]) -> impl Iterator<Item = &[RaySamp
 
 /// Where the sums of a run go when they have taken all their room.
 #[derive(Debug, Clone)]
-pub(super) struct Overflow {
+pub struct Overflow {
     /// Bytes that sums may take in memory.
     room: usize,
     place: Place,
@@ -89,6 +89,15 @@ impl Overflow {
         }
     }
 
+    /// The folder of its files, and the bytes of those that a checkpoint left there.
+    pub fn place(&self) -> (&Path, u64) {
+        let beside = |file| runs_beside(file).filter_map(|(_, path)| Some(path.metadata().ok()?.len())).sum();
+        match &self.place {
+            Place::Temporary(folder) => (folder, 0),
+            Place::Beside(checkpoint) => (folder_of(checkpoint), beside(checkpoint)),
+        }
+    }
+
     /// Writes the sums to a run if they take all their room. Returns whether they did.
     pub fn spill_if_full(&self, posterior: &mut impl Posterior) -> Result<bool> {
         let is_full = posterior.memory() >= self.room;
@@ -100,17 +109,30 @@ impl Overflow {
 
     /// Writes what is left in memory to a run, if there are others.
     pub fn spill_rest(&self, posterior: &mut impl Posterior) -> Result<()> {
-        let is_needed = !posterior.runs().is_empty() && posterior.memory() > 0;
-        if is_needed { self.spill(posterior) } else { Ok(()) }
+        if posterior.runs().is_empty() { Ok(()) } else { self.spill(posterior) }
     }
 
-    fn spill<P: Posterior>(&self, posterior: &mut P) -> Result<()> {
+    /// Writes what is in memory to a run.
+    pub fn spill(&self, posterior: &mut impl Posterior) -> Result<()> {
+        if posterior.memory() == 0 {
+            return Ok(());
+        }
         if posterior.runs().len() == MOST_RUNS {
-            let number = next_number(posterior);
-            posterior.merge_runs(|fill| self.write(number, fill))?;
+            self.merge(posterior)?;
         }
         let number = next_number(posterior);
         posterior.spill(|fill| self.write(number, fill))
+    }
+
+    /// Writes all sums to one run, so that those of many groups of rays can be read side by side.
+    pub fn spill_to_one(&self, posterior: &mut impl Posterior) -> Result<()> {
+        self.spill(posterior)?;
+        if posterior.runs().len() > 1 { self.merge(posterior) } else { Ok(()) }
+    }
+
+    fn merge(&self, posterior: &mut impl Posterior) -> Result<()> {
+        let number = next_number(posterior);
+        posterior.merge_runs(|fill| self.write(number, fill))
     }
 
     fn write<S: Sums>(&self, number: u32, fill: Fill<'_, S>) -> Result<SortedFile<S>> {
@@ -134,7 +156,7 @@ impl Overflow {
 }
 
 /// What a checkpoint names runs by: number and checksum.
-pub(super) fn names(posterior: &impl Posterior) -> Vec<[u32; 2]> {
+pub fn names(posterior: &impl Posterior) -> Vec<[u32; 2]> {
     posterior.runs().iter().map(|run| [number_of(run.path()).unwrap_or(0), run.checksum()]).collect()
 }
 
@@ -154,15 +176,20 @@ fn number_of(path: &Path) -> Option<u32> {
     path.extension()?.to_str()?.strip_prefix(RUN)?.parse().ok()
 }
 
+/// What may be runs beside a checkpoint: numbers and paths.
+fn runs_beside(checkpoint: &Path) -> impl Iterator<Item = (u32, PathBuf)> {
+    let files = std::fs::read_dir(folder_of(checkpoint)).into_iter().flatten().flatten().map(|entry| entry.path());
+    let of_checkpoint = files.filter(|path| path.with_extension("").file_name() == checkpoint.file_name());
+    of_checkpoint.filter_map(|path| Some((number_of(&path)?, path)))
+}
+
 /// Removes the runs beside a checkpoint that are not among those that it `names`: those of a run that is over or was
 /// killed before it saved its state, and those that were merged. Removes what is left of one that was being written, too.
 ///
 /// # Errors
 /// If a file cannot be removed.
-pub(super) fn remove_others(checkpoint: &Path, names: &[[u32; 2]]) -> Result<()> {
-    let files = std::fs::read_dir(folder_of(checkpoint)).into_iter().flatten().flatten().map(|entry| entry.path());
-    let of_checkpoint = files.filter(|path| path.with_extension("").file_name() == checkpoint.file_name());
-    let runs: Vec<(u32, PathBuf)> = of_checkpoint.filter_map(|path| Some((number_of(&path)?, path))).collect();
+pub fn remove_others(checkpoint: &Path, names: &[[u32; 2]]) -> Result<()> {
+    let runs: Vec<(u32, PathBuf)> = runs_beside(checkpoint).collect();
     let is_named = |number: u32| names.iter().any(|name| name[0] == number);
     let mut others = runs.iter().filter(|(number, path)| !is_named(*number) && SortedFile::<u8>::is_sorted_file(path));
     others.try_for_each(|(_, path)| std::fs::remove_file(path).map_err(Error::io(path, "cannot remove")))?;
