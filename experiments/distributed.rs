@@ -1,6 +1,6 @@
 //! Question: what does it cost to share the rays of a run among processes?
 //!
-//! The closed-form city at levels 8 and 10: the same rays in one process of two threads, in two processes of one
+//! The closed-form city at levels 8, 10 and 12: the same rays in one process of two threads, in two processes of one
 //! thread, and in eight shards of which two run at a time, as a scheduler with two processors would have it. Writes the
 //! block of `experiments/distributed.md`.
 
@@ -12,7 +12,7 @@ use std::sync::Mutex;
 use std::time::Instant;
 
 use octobayes::estimate::{GridSettings, RaySettings};
-use octobayes::uncertainty::merge;
+use octobayes::uncertainty::Merging;
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -24,8 +24,8 @@ use common::settings::{describe, seeds};
 use common::table::{Table, whole};
 use common::work::Work;
 
-/// Rays and levels: the default run, and a finer one.
-const SHARED: (u64, [u8; 2]) = (4_096_000, [8, 10]);
+/// Rays and levels: the default run, and finer ones.
+const SHARED: (u64, [u8; 3]) = (4_096_000, [8, 10, 12]);
 /// Number of shards, how many run at a time, and threads of each.
 const SPLITS: [(u64, usize, usize); 3] = [(1, 1, 2), (2, 2, 1), (8, 2, 1)];
 /// The first argument of a process that does one step.
@@ -74,7 +74,11 @@ fn step(what: &str, to: &Path, words: &[String]) -> Result<Row> {
             let (level, index, of) = (number(0) as u8, number(1), number(2));
             Scene::city()?.estimation(settings(), grid(level)).shard(index, of).run()?.field
         }
-        "merge" => merge(&words.iter().map(PathBuf::from).collect::<Vec<_>>())?,
+        "merge" => {
+            let folder = to.parent().unwrap_or(Path::new("."));
+            let merging = Merging::default().keep_sums(false).scratch(folder);
+            merging.join(&words.iter().map(PathBuf::from).collect::<Vec<_>>())?
+        }
         _ => unreachable!("the steps of this program"),
     };
     field.write(to)?;

@@ -1,7 +1,7 @@
 //! Question: how do vertices, bytes and time grow with the level, in a scene that no dense grid can hold at its finest?
 //!
 //! The closed-form city with the cameras of its drive, occupancy 512: levels 8 to 12 with as much memory as it takes,
-//! and level 12 with four times the rays, without a budget and in 1 GiB, whose fields are compared. Every row is a
+//! and levels 12 and 13 with four times the rays, without a budget and in 1 and 4 GiB, whose fields are compared. Every row is a
 //! process of its own, so that its peak memory is its own; point queries are at a million random points of the surfaces
 //! that the rays saw. An unbounded scene of the data at levels that a dense grid can hold shows what a run takes beside
 //! its sums. Writes the blocks of `experiments/scaling.md` and its plot.
@@ -14,8 +14,9 @@ use std::time::Instant;
 
 use glam::{DVec3, Vec3};
 use octobayes::estimate::{GridKind, GridSettings, Outcome, RaySettings};
-use octobayes::geometry::{Domain, Norm};
+use octobayes::geometry::{Aabb, Domain, Lattice, Norm};
 use octobayes::picture::{Curve, write_plot};
+use octobayes::posterior::{DensePosterior, VertexSums};
 use octobayes::uncertainty::{Support, UncertaintyField};
 use octobayes::{Error, Result};
 use serde::de::DeserializeOwned;
@@ -38,8 +39,18 @@ const UNLIMITED: [Case; 5] = [
     (11, 1_024_000, None, false),
     (12, 1_024_000, None, false),
 ];
-/// The same run without a budget and with one.
-const LIMITED: [Case; 2] = [(12, 4_096_000, None, false), (12, 4_096_000, Some(1 << 30), false)];
+/// The same runs without a budget and with one.
+const LIMITED: [Case; 4] = [
+    (12, 4_096_000, None, false),
+    (12, 4_096_000, Some(1 << 30), false),
+    (13, 4_096_000, None, false),
+    (13, 4_096_000, Some(4 << 30), false),
+];
+/// Level, rays and budget in bytes of the unbounded scene, on both grids where a dense one can be held.
+const UNBOUNDED: [(u8, u64, Option<u64>); 3] =
+    [(7, 102_400, None), (8, 102_400, None), (9, 1_024_000, Some(320_000_000))];
+/// The highest of these levels that is measured on a dense grid, too.
+const MOST_DENSE: u8 = 8;
 /// The first argument of a process that measures one row of the city, and of the unbounded scene.
 const ROW: &str = "row";
 const UNBOUNDED_ROW: &str = "unbounded-row";
@@ -52,10 +63,11 @@ fn main() -> Result<()> {
         println!("{}", serde_json::to_string(&row).expect("numbers"));
         return Ok(());
     }
-    if let [UNBOUNDED_ROW, level, grid] = arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-        let level = level.parse().expect("a whole number");
-        let grid = if grid == "dense" { GridKind::Dense } else { GridKind::Octree };
-        println!("{}", serde_json::to_string(&measure_unbounded(level, grid)?).expect("numbers"));
+    if let [UNBOUNDED_ROW, grid, numbers @ ..] = &arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        let [level, rays, memory] = [0, 1, 2].map(|i| numbers[i].parse::<u64>().expect("a whole number"));
+        let grid = if *grid == "dense" { GridKind::Dense } else { GridKind::Octree };
+        let case = (level as u8, rays, Some(memory).filter(|&bytes| bytes > 0));
+        println!("{}", serde_json::to_string(&measure_unbounded(case, grid)?).expect("numbers"));
         return Ok(());
     }
     let parts = [("growth", Needs::Nothing), ("budget", Needs::Nothing), ("unbounded", Needs::Data)];
@@ -168,53 +180,76 @@ struct Taken {
     before: u64,
     /// Of the process.
     peak: u64,
-    /// Of all sums, at the end.
+    /// Of all sums in memory, when they were largest.
     sums: usize,
+    /// Of those that left memory.
+    disk: u64,
+    seconds: f64,
     vertices: u64,
 }
 
-fn measure_unbounded(level: u8, grid: GridKind) -> Result<Taken> {
+fn measure_unbounded((level, rays, memory): (u8, u64, Option<u64>), grid: GridKind) -> Result<Taken> {
     let bicycle = Scene::bicycle(&Program::data()?)?;
     let domain = Domain::contracted(DVec3::splat(0.5), 0.5, Norm::L2)?;
     let before = peak();
-    let grid = GridSettings::default().level(level).grid(grid).keep_sums(false);
-    let outcome = bicycle.estimation(bicycle.settings, grid).domain(domain).run()?;
+    let grid = GridSettings::default().level(level).grid(grid).keep_sums(false).memory(memory);
+    let start = Instant::now();
+    let outcome = bicycle.estimation(bicycle.settings.rays(rays), grid).domain(domain).run()?;
     let (sums, vertices) = (outcome.sums_bytes, outcome.field.summary().vertices);
-    Ok(Taken { before, peak: peak(), sums, vertices })
+    let (disk, seconds) = (outcome.disk_bytes, start.elapsed().as_secs_f64());
+    Ok(Taken { before, peak: peak(), sums, disk, seconds, vertices })
 }
 
 /// Peaks of dense grid and octree.
 fn unbounded(work: &Work, settings: &RaySettings) -> Result<(String, String)> {
     let mut table = Table::new(&[
         "level",
+        "rays",
         "grid",
+        "budget, MB",
         "vertices",
         "program and model, MB",
         "sums, MB",
+        "on disk, MB",
         "peak of the process, MB",
         "to dense",
+        "time, s",
     ]);
-    for level in [7, 8] {
+    let megabytes = |bytes: f64| whole(bytes / 1e6);
+    for (level, rays, memory) in UNBOUNDED {
         let mut dense = f64::NAN;
         for grid in ["dense", "octree"] {
-            let arguments = [UNBOUNDED_ROW.to_owned(), level.to_string(), grid.to_owned()];
-            let row: Taken = work.row((UNBOUNDED_ROW, level, grid, settings.rays), || measured(&arguments))?;
+            if grid == "dense" && level > MOST_DENSE {
+                // Its sums alone, which are all in memory.
+                dense = DensePosterior::required_memory(&Lattice::new(Aabb::centered_cube(1.0), level)?) as f64;
+                let mut cells = vec![String::new(); 11];
+                (cells[0], cells[1], cells[2]) = (level.to_string(), whole(rays as f64), "dense, computed".into());
+                (cells[4], cells[6]) = (whole(dense / size_of::<VertexSums>() as f64), megabytes(dense));
+                table.row(&cells);
+                continue;
+            }
+            let numbers = [u64::from(level), rays, memory.unwrap_or(0)].map(|v| v.to_string());
+            let arguments = [&[UNBOUNDED_ROW.to_owned(), grid.to_owned()][..], &numbers].concat();
+            let row: Taken = work.row((UNBOUNDED_ROW, level, grid, rays, memory), || measured(&arguments))?;
             if grid == "dense" {
                 dense = row.peak as f64;
             }
-            let megabytes = |bytes: f64| whole(bytes / 1e6);
             table.row(&[
                 level.to_string(),
+                whole(rays as f64),
                 grid.into(),
+                memory.map_or("none".into(), |bytes| megabytes(bytes as f64)),
                 whole(row.vertices as f64),
                 megabytes(row.before as f64),
                 megabytes(row.sums as f64),
+                megabytes(row.disk as f64),
                 megabytes(row.peak as f64),
-                format!("{:.2}", row.peak as f64 / dense),
+                format!("{:.3}", row.peak as f64 / dense),
+                whole(row.seconds),
             ]);
         }
     }
-    let described = describe(settings, &GridSettings::default(), &["level", "grid"]);
+    let described = describe(settings, &GridSettings::default(), &["level", "grid", "rays"]);
     let words = format!(
         "bicycle (mip-NeRF 360), contracted around its object region, in its own poses at 400 × 300. {described} {} \
          Peaks are of one process a row, which keeps no sums in its field.",
