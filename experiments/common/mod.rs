@@ -25,6 +25,7 @@ pub mod report;
 pub mod scenes;
 pub mod settings;
 pub mod table;
+pub mod tables;
 pub mod train;
 pub mod visibility;
 pub mod work;

@@ -7,6 +7,7 @@ use octobayes::{Error, Result};
 use super::clock::Time;
 use super::index;
 use super::report::{self, Stamp};
+use super::tables;
 use super::work::Work;
 
 /// Folder of the reports.
@@ -90,6 +91,8 @@ impl Program {
 
     /// Runs a part if it is wanted, writes its block, and brings the table of all reports up to date.
     ///
+    /// A block that has one line keeps one line: the tables of a long report go to CSV files.
+    ///
     /// `make` returns the settings in words, and the block. A part that needs data is skipped without, unless it was
     /// asked for.
     ///
@@ -104,7 +107,13 @@ impl Program {
         let stamp = stamp(work.dates(), work.time());
         let body = format!("{stamp} {settings}\n\n{}", body.trim_matches('\n'));
         println!("## {part}\n\n{body}\n");
-        report::rewrite(&folder().join(format!("{}.md", self.name)), part, &body)?;
+        let path = folder().join(format!("{}.md", self.name));
+        if report::is_one_line(&path, part)? {
+            tables::write(&folder().join("tables"), &format!("{}_{part}", self.name), &body)?;
+            report::rewrite(&path, part, body.lines().next().unwrap_or_default())?;
+        } else {
+            report::rewrite(&path, part, &body)?;
+        }
         work.done()?;
         index::update(&folder())
     }

@@ -111,6 +111,16 @@ pub fn replaced(text: &str, name: &str, body: &str) -> std::result::Result<Strin
     Ok(format!("{}{body}{}", &text[..block.range.start], &text[block.range.end..]))
 }
 
+/// Whether a block of the report `path` has its first line alone.
+///
+/// # Errors
+/// As [`blocks`], or if the file cannot be read.
+pub fn is_one_line(path: &Path, name: &str) -> Result<bool> {
+    let text = std::fs::read_to_string(path).map_err(Error::io(path, "cannot read"))?;
+    let blocks = blocks(&text).map_err(|fault| fault.in_file(path))?;
+    Ok(blocks.iter().any(|block| block.name == name && block.body.lines().count() == 1))
+}
+
 /// Rewrites one block of the report `path`. The file is replaced as a whole, or not at all.
 ///
 /// # Errors
@@ -244,6 +254,7 @@ mod tests {
         assert_eq!(std::fs::read_to_string(&path).unwrap(), TEXT);
         rewrite(&path, "a", "new").unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), TEXT.replace("old", "new"));
+        assert!(is_one_line(&path, "a").unwrap() && !is_one_line(&path, "b").unwrap());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
     }
 
