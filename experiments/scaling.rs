@@ -1,10 +1,10 @@
 //! Question: how do vertices, bytes and time grow with the level, in a scene that no dense grid can hold at its finest?
 //!
 //! The closed-form city with the cameras of its drive, occupancy 512: levels 8 to 12 with as much memory as it takes,
-//! and levels 12 and 13 with four times the rays, without a budget and in 1 and 4 GiB, whose fields are compared. Every row is a
-//! process of its own, so that its peak memory is its own; point queries are at a million random points of the surfaces
-//! that the rays saw. An unbounded scene of the data at levels that a dense grid can hold shows what a run takes beside
-//! its sums. Writes the blocks of `experiments/scaling.md` and its plot.
+//! and levels 12 and 13 with four times the rays, without a budget and in 1 and 4 GiB, whose fields are compared. Every
+//! row is a process of its own, so that its peak memory is its own; point queries are at a million random points of the
+//! surfaces that the rays saw. An unbounded scene of the data at levels that a dense grid can hold shows what a run
+//! takes beside its sums. Writes the blocks of `experiments/scaling.md` and its plot.
 
 mod common;
 

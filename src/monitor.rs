@@ -1,4 +1,4 @@
-//! How long work reports progress and learns that it should stop, and what it has to say. The library itself never
+//! How long work reports progress and receives the request to stop, and its messages. The library itself never
 //! prints.
 
 use std::fmt;
@@ -11,7 +11,7 @@ pub trait Monitor: Sync {
     fn advance(&self, units: u64);
     /// The current stage is done.
     fn end(&self);
-    /// True once the user has asked to stop. Work then returns [`crate::Error::Interrupted`] at the next safe point.
+    /// True once the user has requested a stop. Work then returns [`crate::Error::Interrupted`] at the next safe point.
     fn interrupted(&self) -> bool;
 }
 
@@ -28,7 +28,7 @@ impl Monitor for Silent {
     }
 }
 
-/// Returns [`crate::Error::Interrupted`] if the user has asked to stop.
+/// Returns [`crate::Error::Interrupted`] if the user has requested a stop.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`] only.

@@ -26,7 +26,7 @@ fn no_volume(name: &str) -> Error {
 }
 
 /// Opens the model that `name` names: what [`open_in`] opens, or a file of [`Splats`]. `mode` is how splats are drawn,
-/// if not as their file says.
+/// if not those of their file.
 ///
 /// # Errors
 /// As [`open_in`] and [`Splats::read`]; if a mode is given for a volume.
@@ -59,12 +59,12 @@ pub fn is_of_splats(model: &str) -> bool {
 /// Opens the field that `model` names.
 ///
 /// `scene:NAME` is a built-in scene. Anything else is a file, read by its extension:
-/// `.safetensors` for a hash grid of `octobayes train` (its metadata says so; feature `train`) or an MLP NeRF, `.ckpt`,
+/// `.safetensors` for a hash grid of `octobayes train` (by its metadata; feature `train`) or an MLP NeRF, `.ckpt`,
 /// `.pt`, `.pth` or `.tar` for an MLP NeRF as nerf-pytorch saves it, `.npz` for a voxel grid, `.ppng` for a Plenoptic
 /// PNG in the coordinates of its file.
 ///
 /// # Errors
-/// If the scene or extension is unknown, or the file cannot be read as what its extension says.
+/// If the scene or extension is unknown, or the file is not of the kind of its extension.
 pub fn open(model: &str) -> Result<Box<dyn TrainedField>> {
     open_in(model, None)
 }

@@ -81,7 +81,7 @@ class Model(Opened):
     ) -> list[dict[str, Any]] | None:
         """The cameras that come with the model, as :func:`octobayes.uncertainty` takes them; ``None`` if it has none.
 
-        fov: horizontal angle of view in degrees, and resolution: (width, height), where the model does not know them.
+        fov: horizontal angle of view in degrees, and resolution: (width, height), where the model does not store them.
         """
         rows = self._model.cameras(None if fov is None else degrees("fov", fov), resolution)
         return None if rows is None else [as_dictionary(row) for row in rows]

@@ -139,7 +139,7 @@ def test_views_of_nothing_say_why(courtyard, front, known):
 def test_candidates_with_other_axes_are_told(courtyard, front, known):
     poses = around(np.linspace(0.0, 3.0, 4))
     poses[:, :3, 1:3] *= -1
-    with pytest.raises(ValueError, match="^candidates: expected views that tell something; .*OpenCV's camera axes"):
+    with pytest.raises(ValueError, match="^candidates: expected views that add something; .*OpenCV's camera axes"):
         ob.next_view(courtyard, known, poses, cameras=front, **QUIET)
 
 

@@ -31,7 +31,7 @@ impl CommandFiles {
 
     /// Adds the files that `--cameras` means, if it is given.
     pub fn cameras(self, path: Option<&Path>) -> Self {
-        // A folder that is still one holds no cameras, and its reader says so.
+        // A folder that is still one holds no cameras, which its reader reports.
         let files = path.iter().flat_map(|path| Views::files(path)).filter(|file| !file.is_dir());
         self.inputs("--cameras", files)
     }

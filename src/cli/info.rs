@@ -60,7 +60,7 @@ fn answers(field: &UncertaintyField) -> Vec<(&'static str, std::result::Result<S
     let known = |is_known: bool, yes: &str, no| if is_known { Ok(yes.to_string()) } else { Err(no) };
     let mut answers = vec![
         ("U at points", Ok(format!("by `{}`", field.record().covariance.name()))),
-        ("ray counts", known(!field.rays().is_empty(), "at every vertex", "the file does not say")),
+        ("ray counts", known(!field.rays().is_empty(), "at every vertex", "the file has none")),
         ("its model", known(field.record().model_checksum.is_some(), "known by its checksum", "not known")),
     ];
     answers.extend(field.layers());

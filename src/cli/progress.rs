@@ -111,7 +111,7 @@ impl Monitor for Bars {
 }
 
 /// A file that exceeds the limit of its size (`ulimit -f`) is an error of writing, as a full disk is, and no signal
-/// that ends the process before it can clear up and say so.
+/// that ends the process before it can clear up and report it.
 pub fn ignore_limit_of_files() {
     #[cfg(unix)]
     let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default());

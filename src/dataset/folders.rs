@@ -40,7 +40,7 @@ pub fn taken_for(path: &Path) -> Option<PathBuf> {
     listed.chain(ModelFiles::all(folder_of(path)).into_iter().map(|model| model.images)).next()
 }
 
-/// What people are told if [`camera_file`] found `file` in a folder that has a COLMAP model as well.
+/// The note if [`camera_file`] found `file` in a folder that has a COLMAP model as well.
 #[must_use]
 pub fn passed_over(folder: &Path, file: &Path) -> Option<String> {
     let model = ModelFiles::all(folder).into_iter().next().filter(|_| folder != file)?;

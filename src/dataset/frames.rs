@@ -2,7 +2,7 @@
 //! one rule for all verbs.
 //!
 //! Frames without an image are ignored. If no frame has an image, the file only lists cameras, and all of them count.
-//! What the file says that frames are for decides; or else its name: `transforms_train.json` beside a
+//! The file's own split decides; or else its name: `transforms_train.json` beside a
 //! `transforms_test.json` is all for training, `transforms_test.json` and `transforms_val.json` are all held out; or
 //! else the cameras that the model stores. If none of them does, frames are held out that programs hold out which train
 //! on such files, sorted by name ([`Rule`]).
@@ -19,7 +19,7 @@ use crate::error::{counted, printable};
 use crate::{Error, Result};
 
 /// Frames that are named, of those without an image or held out.
-const NAMED: usize = 6;
+const MAX_NAMES: usize = 6;
 /// Runs of frames whose numbers are listed.
 const RUNS: usize = 20;
 /// Of a COLMAP model, one image in this many is held out, from the first on.
@@ -27,7 +27,7 @@ const HOLD_OUT: usize = 8;
 /// So many images are all for training.
 const TOO_FEW: usize = 2;
 /// Of other files, the share of the images that are for training.
-const TRAINED: f64 = 0.9;
+const TRAINING_SHARE: f64 = 0.9;
 
 /// Purpose of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,7 +73,7 @@ pub struct FrameSplit {
 /// What decides which frames are held out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Rule {
-    /// What the file says of its frames, or its name.
+    /// The split in the file, or in its name.
     File,
     /// The cameras that the model stores.
     Model,
@@ -91,7 +91,7 @@ impl Rule {
             Self::Eighth if count > TOO_FEW => (0..count).step_by(HOLD_OUT).collect(),
             Self::Tenth if count > TOO_FEW => {
                 // NumPy's linspace from the first frame to the last, rounded down, has those for training.
-                let trained = (count as f64 * TRAINED).ceil() as usize;
+                let trained = (count as f64 * TRAINING_SHARE).ceil() as usize;
                 let step = (count - 1) as f64 / (trained - 1) as f64;
                 let place = |k: usize| if k + 1 == trained { count - 1 } else { (k as f64 * step) as usize };
                 let kept: Vec<usize> = (0..trained).map(place).collect();
@@ -103,7 +103,7 @@ impl Rule {
 
     fn words(self) -> &'static str {
         match self {
-            Self::File => "as the file says",
+            Self::File => "by the file",
             Self::Model => "as the model was not trained on them",
             Self::Eighth => "every eighth by name, the test set of Gaussian splatting and gsplat",
             Self::Tenth => "a tenth, as nerfstudio does",
@@ -166,7 +166,7 @@ impl FrameSplit {
         self
     }
 
-    /// In words, that the file has no frame for training, if it says so or its name does.
+    /// In words, that the file has no frame for training, by its split or its name.
     #[must_use]
     pub fn without_training(&self) -> Option<String> {
         let is_held_out = |(_, purpose): &(Frame, Purpose)| *purpose == Purpose::HeldOut;
@@ -276,8 +276,8 @@ impl FrameSplit {
             let has = if self.missing.len() == 1 { "has" } else { "have" };
             let name = |frame: &Frame| frame.image.file_name().map(|name| name.to_string_lossy().into_owned());
             let mut names = vec![first.image.display().to_string()];
-            names.extend(self.missing[1..].iter().take(NAMED - 1).filter_map(name));
-            let more = self.missing.len().saturating_sub(NAMED);
+            names.extend(self.missing[1..].iter().take(MAX_NAMES - 1).filter_map(name));
+            let more = self.missing.len().saturating_sub(MAX_NAMES);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
             others.push(format!("{} {has} no image ({}{more})", self.missing.len(), printable(&names.join(", "))));
         }
@@ -338,9 +338,9 @@ fn numbered_names<F: std::borrow::Borrow<Frame>>(frames: &[F]) -> String {
         let Frame { index, name, .. } = frame.borrow();
         if name.is_empty() { index.to_string() } else { format!("{index} ({})", printable(name)) }
     };
-    let more = frames.len().saturating_sub(NAMED);
+    let more = frames.len().saturating_sub(MAX_NAMES);
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    frames.iter().take(NAMED).map(name).collect::<Vec<_>>().join(", ") + &more
+    frames.iter().take(MAX_NAMES).map(name).collect::<Vec<_>>().join(", ") + &more
 }
 
 /// The numbers of frames in words, such as `frames 0, 2-4, 9`.
@@ -498,7 +498,7 @@ mod tests {
         assert_eq!(
             split.describe(Part::Training, &training),
             format!(
-                "8 cameras of 20 frames of {}: 3 are held out, as the file says: 8 (r_8), 9 (r_9), 10 (r_10) (views \
+                "8 cameras of 20 frames of {}: 3 are held out, by the file: 8 (r_8), 9 (r_9), 10 (r_10) (views \
                  `all` takes both), 9 are in neither part",
                 path.display()
             )

@@ -18,13 +18,13 @@ const KEYS: [&str; 3] = ["img_name", "rotation", "position"];
 /// Largest difference of an axis's length from 1: programs store f32.
 const UNIT: f64 = 1e-3;
 
-/// What a user should know of a file whose order says nothing.
-const NOTE: &str = "a cameras.json does not say which views were held out: a run with `--eval` lists them first";
+/// The warning about a file whose order has no split.
+const NOTE: &str = "a cameras.json does not mark which views were held out: a run with `--eval` lists them first";
 /// Of the images in the order of their names, a run with `--eval` holds out one in this many, from the first on.
 const HOLD_OUT: usize = 8;
 
 /// Says what frames are for as far as their order does, and the rest in a note. A run lists its test views first, then
-/// those for training, each by name. All of them were for training unless the order says so.
+/// those for training, each by name. All of them were for training unless the order has a split.
 pub(super) fn purposes(frames: &mut [Frame]) -> Option<String> {
     let mut sorted: Vec<&str> = frames.iter().map(|frame| frame.name.as_str()).collect();
     sorted.sort_unstable();

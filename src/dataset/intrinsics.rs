@@ -89,7 +89,7 @@ impl Intrinsics {
     pub fn over(self, file: &Self) -> Checked<Self> {
         let (own, file) = (self.with_single_coefficients()?, file.clone().with_single_coefficients()?);
         let states = |focal: Focal| focal.iter().any(|(_, value)| value.is_some());
-        // A frame that states one axis alone has square pixels, whatever the file says of the other axis.
+        // A frame that states one axis alone has square pixels, whatever the file has for the other axis.
         let focal = if states(own.focal_x()) || states(own.focal_y()) { &own } else { &file };
         Ok(Self {
             camera_angle_x: focal.camera_angle_x,
@@ -173,7 +173,7 @@ impl Intrinsics {
 fn focal_length(stated: Focal, side: f64) -> Checked<Option<f64>> {
     let [(pixels, f), (radians, angle), (degrees, fov)] = stated;
     let of = |key: &str, angle: f64, half_turn: f64, unit: &str| {
-        // An angle in degrees, 40 say, would also give a positive tangent.
+        // An angle in degrees, such as 40, would also give a positive tangent.
         if angle > 0.0 && angle < half_turn {
             return Ok(0.5 * side / (0.5 * angle * std::f64::consts::PI / half_turn).tan());
         }

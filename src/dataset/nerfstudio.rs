@@ -22,7 +22,7 @@ use crate::{Error, Result};
 /// How the name of a file with a run's similarity ends.
 const FRAME_OF_RUN: &str = "dataparser_transforms.json";
 /// What goes with it.
-const DATA_SET: &str = "the data set's transforms.json or COLMAP model beside it, or where config.yml beside it says";
+const DATA_SET: &str = "the data set's transforms.json or COLMAP model beside it, or where config.yml beside it points";
 /// The transform of `ns-process-data` from COLMAP's axes, before it wrote it as `applied_transform`.
 const FROM_COLMAP: [[f64; 4]; 3] = [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]];
 /// Keys of a transforms.json that name its frames.
@@ -45,7 +45,7 @@ pub fn frame_beside(path: &Path) -> Option<PathBuf> {
 }
 
 /// The camera file of the data set that a run's similarity applies to: in the same folder, or where the run's
-/// config.yml says, seen from here or from a folder above the run.
+/// config.yml names, seen from here or from a folder above the run.
 pub(super) fn data_set(path: &Path) -> Option<PathBuf> {
     let cameras = |place: PathBuf| {
         let is_file = is_json(&place) && !is_frame_of_run(&place);
@@ -79,7 +79,7 @@ struct FrameOfRun {
     scale: f64,
 }
 
-/// What a transforms.json says was done to the original data before.
+/// What was done to the original data before, by a transforms.json.
 #[derive(Deserialize)]
 struct Applied {
     applied_transform: Option<Vec<Vec<f64>>>,

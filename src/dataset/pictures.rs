@@ -16,7 +16,7 @@ use crate::{Error, Result};
 const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
 
 /// Masks that take more bytes than this are decoded one at a time.
-const LARGE: u64 = 32_000_000;
+const LARGE_MASK_BYTES: u64 = 32_000_000;
 
 /// The picture of a frame named `file_path` in a camera file of `folder`.
 ///
@@ -162,7 +162,7 @@ pub fn read_masks(frames: &[Frame]) -> Result<Vec<Option<Mask>>> {
         Ok(Some(file.read(frame.size)?.resized(frame.camera.resolution)))
     };
     // Large ones one at a time, as memory is planned for one.
-    if memory_of_masks(&frames[..frames.len().min(1)]) > LARGE {
+    if memory_of_masks(&frames[..frames.len().min(1)]) > LARGE_MASK_BYTES {
         return frames.iter().map(read).collect();
     }
     frames.par_iter().map(read).collect()

@@ -17,7 +17,7 @@ use crate::geometry::MAX_PIXELS;
 use crate::{Error, Result};
 
 /// First bytes of a picture that are read, more if its size does not stand in them: thumbnails and profiles come first.
-const FIRST: [u64; 3] = [1 << 14, 1 << 18, 1 << 24];
+const FIRST_BYTES: [u64; 3] = [1 << 14, 1 << 18, 1 << 24];
 /// Larger factors between the sides of two pictures are no change of size that anybody makes. A small file cannot claim
 /// more memory than this allows.
 const LARGEST_FACTOR: f64 = 32.0;
@@ -71,7 +71,7 @@ impl Head {
         // A pipe would wait.
         let mut file = path.is_file().then(|| File::open(path).ok()).flatten()?;
         let mut bytes = Vec::new();
-        FIRST.into_iter().find_map(|most| {
+        FIRST_BYTES.into_iter().find_map(|most| {
             (&mut file).take(most - bytes.len() as u64).read_to_end(&mut bytes).ok()?;
             let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().ok()?;
             reader.into_decoder().ok().map(|mut decoder| Self::of(&mut decoder))
@@ -109,7 +109,7 @@ impl Head {
     }
 }
 
-/// Lets cameras and sizes follow the pictures that are there. `is_requested` says that the size of the cameras is not
+/// Lets cameras and sizes follow the pictures that are there. With `is_requested`, the size of the cameras is not
 /// that of the file. Adds notes about it.
 pub(super) fn follow_pictures(views: &mut Views, is_requested: bool) {
     let heads: Vec<Option<Head>> = views.frames.par_iter().map(|frame| Head::read(&frame.image)).collect();

@@ -33,7 +33,7 @@ const ASSUMED: [u32; 2] = [400, 400];
 pub(super) const SIZES: &str = "sides from 1 to 65536 and at most 1e8 pixels, or a smaller size by --resolution";
 
 /// Focal lengths along x and y that differ by this factor are worth a note: no sensor's pixels do.
-const STRETCHED: f64 = 1.5;
+const MAX_FOCAL_RATIO: f64 = 1.5;
 /// Numbers of poses that differ by less are those of one pose.
 const SAME_POSE: f64 = 1e-6;
 
@@ -142,7 +142,7 @@ impl Reading<'_> {
             self.source = ResolutionSource::Assumed;
         }
         let (focal, center) = stated.project(reference).map_err(fault)?;
-        if (focal[0] / focal[1]).ln().abs() > STRETCHED.ln() {
+        if (focal[0] / focal[1]).ln().abs() > MAX_FOCAL_RATIO.ln() {
             self.stretched = self.stretched.or(Some((i, focal)));
         }
         let of_file = Intrinsics::default().over(&self.file.intrinsics).and_then(|file| file.project(reference));
@@ -305,7 +305,7 @@ fn converted(path: &Path, value: &Value) -> Option<(Result<Value>, Origin)> {
     }
 }
 
-/// Parses the JSON of a camera file with at least one frame. The message names other kinds of files that it knows.
+/// Parses the JSON of a camera file with at least one frame. The message names other known kinds of files.
 fn parse(path: &Path) -> Result<(RawFile, Origin)> {
     let bytes = crate::io::read(path)?;
     let other = |(kind, instead): (&str, &str)| {

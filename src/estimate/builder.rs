@@ -15,7 +15,7 @@ use crate::render::{RaySamples, VolumeRenderer};
 use crate::uncertainty::{Finish, RunRecord, UncertaintyField};
 use crate::{Error, Result};
 
-/// The source of a field's numbers: the part of its record that the grid does not know.
+/// The source of a field's numbers: the part of its record that does not depend on the grid.
 #[derive(Clone, Default)]
 pub struct FieldSource<'a> {
     /// Model and cameras, or the samples file.

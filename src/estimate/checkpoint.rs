@@ -4,9 +4,9 @@
 //! A container file with the sections `run` (the run and its progress, in bincode: only this program reads it), `keys`
 //! (u64, of vertices; empty for a dense grid), `sums` ([`Posterior::Sums`], one per key, or per lattice point of a
 //! dense grid), `surface` and `ray_coverage`. Sums that left memory are in files beside it, `FILE.run0`, `FILE.run1`
-//! and so on, which `run` names by their checksums. Sums are kept bit for bit, and the run continues after the last counted
-//! ray. A resumed run therefore ends with the bits of an uninterrupted one. A run accepts only a state with its own
-//! description.
+//! and so on, which `run` names by their checksums. Sums are kept bit for bit, and the run continues after the last
+//! counted ray. A resumed run therefore ends with the bits of an uninterrupted one. A run accepts only a state with its
+//! own description.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

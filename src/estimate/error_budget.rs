@@ -35,7 +35,7 @@ pub enum RayError {
 }
 
 impl ErrorBudget {
-    /// What a finished field knows.
+    /// The errors that a finished field stores.
     #[must_use]
     pub fn of_field(field: &UncertaintyField) -> Self {
         let coarse_leaves = match field.support() {

@@ -34,7 +34,7 @@ impl Default for Goal {
 }
 
 impl Goal {
-    /// What is asked for by a mean error in decades, a part as index and number of parts, or a number of groups; the
+    /// The goal of a mean error in decades, a part as index and number of parts, or a number of groups; the
     /// first that is given.
     #[must_use]
     pub fn of(mean_error: Option<f64>, part: Option<[u64; 2]>, groups: Option<u16>) -> Self {
@@ -162,8 +162,8 @@ impl<'a> Estimation<'a> {
     /// Draws the rays in `groups` independent groups, and stores with every log10 U its error relative to the
     /// limit of infinitely many rays.
     ///
-    /// Summing takes `groups` + 1 times the memory. Under a [budget](GridSettings::memory), the sums of each group leave
-    /// memory before the next is drawn.
+    /// Summing takes `groups` + 1 times the memory. Under a [budget](GridSettings::memory), the sums of each group
+    /// leave memory before the next is drawn.
     pub fn error_bars(self, groups: u16) -> Self {
         Self { goal: Goal::Groups(groups), ..self }
     }
@@ -179,8 +179,8 @@ impl<'a> Estimation<'a> {
         Self { checkpoint: Some(checkpoint), ..self }
     }
 
-    /// Sets the folder of temporary files for sums that a [budget](GridSettings::memory) has no room for. The default is
-    /// the system's folder of such files, which may be memory itself. With a checkpoint, they lie beside that.
+    /// Sets the folder of temporary files for sums that a [budget](GridSettings::memory) has no room for. The default
+    /// is the system's folder of such files, which may be memory itself. With a checkpoint, they lie beside that.
     pub fn scratch(self, folder: impl Into<PathBuf>) -> Self {
         Self { scratch: folder.into(), ..self }
     }

@@ -1,4 +1,4 @@
-//! What a finished field says of itself, for reports.
+//! The description of a finished field, for reports.
 
 use serde_json::{Value, json};
 

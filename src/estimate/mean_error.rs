@@ -6,7 +6,7 @@
 //! of one low-discrepancy sequence would complement each other, and their difference would be twice too large.)
 //!
 //! Of pooled fields, the halves share what pooling smears. There, the mean of the halves'
-//! [error bars](crate::uncertainty::ErrorBars) takes the place of Δ/2, over the vertices whose error they know.
+//! [error bars](crate::uncertainty::ErrorBars) takes the place of Δ/2, over the vertices whose error is known.
 
 use super::builder::{Builder, FieldSource};
 use crate::Result;
@@ -16,7 +16,7 @@ use crate::rays::{Purpose, RaySet, RayStream, RunProgress, Shard};
 use crate::uncertainty::{Finish, MOVED, UncertaintyField};
 
 /// Number of rays before the first measurement.
-const FIRST: u64 = 65_536;
+const FIRST_RAYS: u64 = 65_536;
 
 /// Estimated error of log10 U at the vertices that moved by more than half a decade from the prior; of pooled fields at
 /// those whose error is known.
@@ -74,7 +74,7 @@ pub(super) fn draw<P: Finish>(
     let streams = [stream, &other_pixels];
     let is_pooled = builders[0].settings().pooling.is_on();
     let mut halves = builders.map(|builder| (builder, RunProgress::default()));
-    let mut rays = FIRST.min(most);
+    let mut rays = FIRST_RAYS.min(most);
     loop {
         for ((builder, progress), stream) in halves.iter_mut().zip(streams) {
             *progress = stream.run(Shard::whole((rays / 2).max(1)), *progress, monitor, |batches, _| {
@@ -185,7 +185,7 @@ mod tests {
             let (Outcome { field, progress, .. }, error) = run_on(grid, 0.1, many);
             assert!(error.mean <= 0.1 && progress.rays < many / 2, "{progress:?} {error:?}");
             let Support::Octree(tree) = field.support() else { panic!("an octree was asked for") };
-            // Where pooling says something of a vertex that few rays have seen, the error is unknown.
+            // Where pooling moves a vertex that few rays have seen, the error is unknown.
             let least = if pooling.is_on() { 4 } else { 0 };
             let counts = |v: usize| field.deviations().get(v) < moved && field.sums().unwrap()[v].rays >= least;
             let error_at = |(v, point)| {

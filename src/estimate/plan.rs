@@ -3,7 +3,7 @@
 //! The peak of the process is the sum of three parts:
 //!
 //! - *outside*: program, model, cameras, occupancy grid, rays under way and their contributions. The operating system
-//!   says how much that is during the pilot, which draws rays as the run does.
+//!   reports how much that is during the pilot, which draws rays as the run does.
 //! - *summing*: sums of vertices, by the pilot's [`SpeciesEstimate`].
 //! - *finishing*: the field, made while the sums are still there, or once they have left memory.
 //!
@@ -147,7 +147,7 @@ impl Planner {
         lattice: Lattice,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
-        // Of limits, few rays would know too little.
+        // Limits would be too uncertain from few rays.
         let is_limited = settings.is_limited();
         let pilot =
             if is_limited { rays.rays } else { rays.rays.div_ceil(Self::CHEAP).max(Self::LEAST).min(rays.rays) };

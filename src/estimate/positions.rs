@@ -10,9 +10,9 @@ use crate::rays::RayStream;
 
 /// Parts of a lattice edge from which the distance between positions is bad. Each sample is then off by up to a
 /// hundredth of an edge, and so is the share of its vertices: at level 8 this moves log10 U by 0.01 in the mean.
-const COARSE: f64 = 1.0 / 64.0;
+const BAD_SPACING: f64 = 1.0 / 64.0;
 /// Parts of a lattice edge below which densities are not looked at. Near the origin nothing is this coarse.
-const FINE: f64 = 1.0 / 4096.0;
+const FINE_SPACING: f64 = 1.0 / 4096.0;
 
 /// How finely f32 holds positions in a field's box.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,7 +37,7 @@ impl PositionCheck {
         let on_axis = |axis: usize| {
             let (farthest, apart) = resolution(lattice.domain(), bounds, axis);
             let edges = apart / lattice.edge()[axis];
-            Self { farthest, apart, edges, change: 0.0, is_bad: edges >= COARSE }
+            Self { farthest, apart, edges, change: 0.0, is_bad: edges >= BAD_SPACING }
         };
         (0..3).map(on_axis).reduce(|a, b| if b.edges > a.edges { b } else { a }).expect("three axes")
     }
@@ -51,7 +51,7 @@ impl PositionCheck {
     ) -> Result<Self> {
         let mut found = Self::of_box(lattice, &stream.source.bounds());
         // Splats are where they are: they have no density that changes between two positions.
-        let Some(volume) = stream.source.marched().filter(|_| !found.is_bad && found.edges >= FINE) else {
+        let Some(volume) = stream.source.marched().filter(|_| !found.is_bad && found.edges >= FINE_SPACING) else {
             return Ok(found);
         };
         let field = volume.tracer.field;
@@ -72,11 +72,11 @@ impl PositionCheck {
         Ok(found)
     }
 
-    /// What is to be said, if positions are too far apart.
+    /// The warning, if positions are too far apart.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
         let Self { farthest, apart, edges, change, .. } = self;
-        let effect = if *edges >= COARSE {
+        let effect = if *edges >= BAD_SPACING {
             format!("{edges:.3} edges of the finest lattice")
         } else {
             format!("in which density changes by {:.1} %", 100.0 * change)

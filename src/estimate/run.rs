@@ -1,4 +1,4 @@
-//! A run, from its settings to a field: what is asked before its first ray, and which goal it has.
+//! A run, from its settings to a field: what is checked before its first ray, and which goal it has.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -33,7 +33,7 @@ pub struct Outcome {
     /// Time spent on summing rays and computing the field from the sums. The rest of the run's time is spent in
     /// the model.
     pub summing: Duration,
-    /// How far log10 U is from its limit, as far as the run knows.
+    /// How far log10 U is from its limit, as far as that was measured.
     pub errors: ErrorBudget,
 }
 
@@ -138,8 +138,8 @@ impl<'a> Run<'a> {
         Ok(planner.with_picture(*picture).with_room(self.room).with_groups(self.settings.goal.groups()))
     }
 
-    /// The folder of sums that leave memory, and the bytes of those that an interrupted run left there; `None` without a
-    /// budget.
+    /// The folder of sums that leave memory, and the bytes of those that an interrupted run left there; `None` without
+    /// a budget.
     #[must_use]
     pub fn scratch(&self) -> Option<(PathBuf, u64)> {
         let overflows: Vec<Overflow> = self.files().iter().filter_map(|file| self.overflow(file.as_deref())).collect();

@@ -100,7 +100,7 @@ impl CoverageCheck {
             }
         };
         let looked = framing::views(&few, rays, stream.pixel_offset);
-        // A field that wants many points at once sees all views as one; of others, no more are held than are traced.
+        // A field that prefers many points at once gets all views as one; of others, no more are held than are traced.
         let together = if source.batch() > 0 { looked.len().max(1) } else { rayon::current_num_threads() };
         let mut seen: Vec<Seen> = Vec::new();
         for views in looked.chunks(together) {

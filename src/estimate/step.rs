@@ -60,7 +60,7 @@ impl StepCheck {
         Self::with_seed(SEED, stream, lattice, tolerance, monitor)
     }
 
-    /// What is to be said, if the step is badly placed.
+    /// The warning, if the step is badly placed.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
         let (here, best) = (self.errors.at(self.step), self.errors.best());

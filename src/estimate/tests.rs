@@ -136,7 +136,7 @@ fn error_bars_are_as_large_as_the_errors() {
     let many = RaySettings { seed: 99, ..settings(400_000) };
     let truth = Estimation::new(&field, &cameras).rays(many).grid(grid).run().unwrap().field.on_dense_grid();
     let moved = truth.prior() / 10_f64.powf(crate::uncertainty::MOVED);
-    // Pooling needs to know which vertices moved, and a thousandth of a decade tells.
+    // Pooling depends on which vertices moved, by a thousandth of a decade or more.
     let pooled = grid.pooling(Pooling::Auto).tolerance(1e-3);
     for (grid, groups) in [(grid, 2), (grid, 8), (pooled, 8)] {
         let Outcome { field: few, progress, .. } =
@@ -224,7 +224,7 @@ fn the_default_step_is_as_far_as_positions_need() {
     assert_eq!(step(8, 1e5), 1.0 / 512.0);
 }
 
-/// What leaves of one or two levels less say of well-seen surfaces, against the finest lattice and the same rays. The
+/// U of leaves of one or two levels less on well-seen surfaces, against the finest lattice and the same rays. The
 /// rule is to keep log10 U within a tenth of a decade per level in the mean; dividing by less or more would not
 /// (`experiments/coarse_leaves.md` has more scenes and levels).
 #[test]
@@ -255,7 +255,7 @@ fn coarse_leaves_mean_what_fine_ones_do() {
 }
 
 /// Leaves that are kept one level coarser have eight times the information of the finest ones. A deviation of depth by
-/// that would be a third of what the finest lattice says from the same rays; it must mean the same, whether or not the
+/// that would be a third of that of the finest lattice from the same rays; it must mean the same, whether or not the
 /// sums were kept.
 #[test]
 fn coarser_leaves_say_of_depth_what_the_finest_lattice_does() {

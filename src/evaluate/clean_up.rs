@@ -21,7 +21,7 @@ pub const SCALE: f64 = 6.0;
 /// Thresholds of the sweep, as shares of [`SCALE`]. The paper reports 0.9, 0.4 and the best of all.
 pub const THRESHOLDS: [f64; 10] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0];
 
-/// Quality of held-out images after a clean-up: means over views, except where a field says otherwise.
+/// Quality of held-out images after a clean-up: means over views, except where noted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CleanUp {
     /// Threshold as a share of [`SCALE`]; `None` for the field as it is.

@@ -17,13 +17,13 @@ const IMAGES: usize = 8;
 const PIXELS: usize = 64;
 /// A model that shows its images worse is worth a warning, dB. Models trained to the end have 20 and more, and a plain
 /// colour for all images often has 10.
-const FAIR: f64 = 15.0;
+const LOW_PSNR: f64 = 15.0;
 /// The same for splats, dB. Their images fit less well at every size but the one that they were trained at: 32 dB there
 /// became 22 to 24 dB at half and at twice that size.
-const FAIR_SPLATS: f64 = 20.0;
+const LOW_PSNR_OF_SPLATS: f64 = 20.0;
 /// A model that shows its images worse does not show them at all, dB. Two unrelated images have about 8: the root mean
 /// square difference of two values drawn from [0, 1] is 0.41.
-const NOTHING: f64 = 8.0;
+const UNRELATED_PSNR: f64 = 8.0;
 /// What another background or other poses must gain to be named, dB: half of the squared error.
 const MORE: f64 = 3.0;
 
@@ -34,7 +34,7 @@ const EXACT: f64 = 40.0;
 const CLEAR: f64 = 1.0;
 
 /// Mean opacity of the pixels from which other poses see the model.
-const SEEN: f64 = 0.05;
+const MIN_OPACITY: f64 = 0.05;
 
 /// The backgrounds that are tried beside the tracer's.
 const BACKGROUNDS: [(&str, Vec3); 2] = [("white", Vec3::ONE), ("black", Vec3::ZERO)];
@@ -168,7 +168,7 @@ pub fn check_images(
         for (name, reading) in readings {
             let rendered = render(renderer, &shown, reading, monitor)?;
             // Cameras that see nothing show blank images exactly.
-            if rendered.iter().map(|(_, passed)| 1.0 - passed).sum::<f64>() >= SEEN * pixels as f64 {
+            if rendered.iter().map(|(_, passed)| 1.0 - passed).sum::<f64>() >= MIN_OPACITY * pixels as f64 {
                 others.push((name, psnr_over(&shown, &rendered, background)));
             }
         }
@@ -241,12 +241,12 @@ impl ImageCheck {
     /// Whether the model shows nothing of the images.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.psnr < NOTHING
+        self.psnr < UNRELATED_PSNR
     }
 
     /// The PSNR below which a model is worth a warning, dB.
     fn fair(&self) -> f64 {
-        if self.depends_on_pixels { FAIR_SPLATS } else { FAIR }
+        if self.depends_on_pixels { LOW_PSNR_OF_SPLATS } else { LOW_PSNR }
     }
 
     /// Whether the model shows the images worse than a trained one should.
@@ -260,7 +260,7 @@ impl ImageCheck {
     pub fn clear_background(&self) -> Option<(Vec3, [f64; 2])> {
         let [white, black] = self.backgrounds;
         let (color, psnr, other) = if white > black { (Vec3::ONE, white, black) } else { (Vec3::ZERO, black, white) };
-        (psnr >= FAIR && psnr - other >= CLEAR).then_some((color, [psnr, other]))
+        (psnr >= LOW_PSNR && psnr - other >= CLEAR).then_some((color, [psnr, other]))
     }
 
     /// What was measured of splats, for users to compare with the PSNR of the training.
@@ -351,8 +351,10 @@ impl ImageCheck {
         if !self.is_empty() || self.is_trained_on {
             return Ok(());
         }
-        let expected =
-            format!("images that the model shows with at least {NOTHING:.0} dB; likely causes: {}", self.causes());
+        let expected = format!(
+            "images that the model shows with at least {UNRELATED_PSNR:.0} dB; likely causes: {}",
+            self.causes()
+        );
         Err(Error::setting(
             "images beside the cameras",
             expected,

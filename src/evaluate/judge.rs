@@ -136,7 +136,7 @@ impl<'a> Evaluation<'a> {
         if known > 0 {
             let n = frames.len();
             remarks.push(Message::Warning(format!(
-                "the model was trained on {known} of these {n} frames: it knows them better than others"
+                "the model was trained on {known} of these {n} frames: it fits them better than others"
             )));
         }
         let depth = self.judges_depth().then(|| self.depth.find(&self.cameras, &frames, &all)).transpose()?;
@@ -174,7 +174,7 @@ impl<'a> Evaluation<'a> {
     fn training_maps(&self, folder: &Path, cameras: &[NamedCamera]) -> Result<FramesWithDepth> {
         if cameras.is_empty() {
             let expected = if self.model.stores_cameras() {
-                "a model that knows its training cameras, such as those of `train`"
+                "a model that stores its training cameras, such as those of `train`"
             } else {
                 "the field's training cameras in a camera file beside the splats or --cameras"
             };
@@ -236,7 +236,7 @@ impl Prepared<'_> {
         self.depth.as_ref().map_or(&self.frames, |found| &found.frames)
     }
 
-    /// Renders all frames, compares, and cleans up and calibrates if requested. `tell` receives remarks as they arise.
+    /// Renders all frames, compares, and cleans up and calibrates if requested. `tell` receives messages as they arise.
     ///
     /// # Errors
     /// If a file is damaged, if nearly no value of the depth maps is a measurement or no error of a model explains

@@ -54,7 +54,7 @@ impl Reading {
     /// If it has no ray counts, which [`RayAverage::USpreadPerRootRay`] needs.
     pub fn check(field: &UncertaintyField, average: RayAverage) -> Result<()> {
         if average == RayAverage::USpreadPerRootRay && field.rays().is_empty() {
-            let expected = "`u-spread` or another that needs no ray counts, which this field does not know";
+            let expected = "`u-spread` or another that needs no ray counts, which this field does not store";
             return Err(Error::setting("ray average", expected, "`u-spread-per-root-ray`"));
         }
         Ok(())

@@ -14,7 +14,7 @@ use crate::{Error, Result};
 /// Approximate number of rendered pixels, over all training images.
 const PIXELS: u64 = 1 << 18;
 
-/// What training images say of a model, for fields on one lattice.
+/// What training images show of a model's errors, for fields on one lattice.
 #[derive(Debug, Clone)]
 pub struct Compared {
     /// What training left unexplained in them.
@@ -24,7 +24,7 @@ pub struct Compared {
 }
 
 impl Compared {
-    /// The field with what they say.
+    /// The field with these layers.
     ///
     /// # Errors
     /// Those of [`UncertaintyField::with_residuals`] and [`UncertaintyField::with_color_spread`].

@@ -125,7 +125,7 @@ impl TrainingViews {
     }
 
     /// Whether [`CONFIRMING_VIEWS`] cameras see a surface at a pixel's median depth, for each pixel of a camera's view,
-    /// `[height · width]`; false where nothing is shown. A deviation of depth is for such pixels: it knows how far a
+    /// `[height · width]`; false where nothing is shown. A deviation of depth is for such pixels: it holds how far a
     /// surface can be moved, and not whether matter that only one image needs is a surface at all.
     #[must_use]
     pub fn confirmed(&self, camera: &Camera, pixel_offset: f64, view: &RenderedView) -> Vec<bool> {

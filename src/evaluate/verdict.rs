@@ -14,9 +14,9 @@ const MIN_PIXELS: usize = 1000;
 /// The nominal coverage that is judged.
 const NOMINAL: f64 = 0.9;
 /// Coverage as near to the nominal one is right, whatever its spread over views.
-const NEAR: f64 = 0.02;
+const RIGHT_WITHIN: f64 = 0.02;
 /// Coverage farther from it is not called right, whatever its spread over views.
-const FAR: f64 = 0.05;
+const WRONG_BEYOND: f64 = 0.05;
 
 impl Report {
     /// The two sentences. `trained_on` of the views belong to the model's training; `is_doubtful` if depth maps are
@@ -127,10 +127,10 @@ fn ranking(areas: &[[f64; 3]], pooled: [f64; 3], name: &str, pixels: usize) -> S
 fn intervals(shares: &[f64], all: f64, nominal: f64, what: &str) -> String {
     let off = all - nominal;
     let are = match beyond(shares, nominal) {
-        _ if off.abs() <= NEAR => "right",
+        _ if off.abs() <= RIGHT_WITHIN => "right",
         sign if sign > 0 && off > 0.0 => "too wide",
         sign if sign < 0 && off < 0.0 => "too narrow",
-        _ if off.abs() <= FAR => "right, as far as so few views show",
+        _ if off.abs() <= WRONG_BEYOND => "right, as far as so few views show",
         _ => "not clearly right or wrong, as views differ too much",
     };
     let [low, high] = [f64::min, f64::max].map(|f| shares.iter().copied().reduce(f).unwrap_or(f64::NAN));

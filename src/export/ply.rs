@@ -60,7 +60,7 @@ impl PlyWriter {
         values.into_iter().try_for_each(|value| self.put(&value.to_le_bytes()))
     }
 
-    /// Appends the properties [`SURFACE`] of a point: position, normal, colour in [0, 1], and what the field says
+    /// Appends the properties [`SURFACE`] of a point: position, normal, colour in [0, 1], and values of the field
     /// there.
     pub fn surface(&mut self, x: Vec3, normal: Vec3, color: Vec3, found: &Estimate) -> Result<()> {
         self.floats(x.to_array().into_iter().chain(normal.to_array()))?;

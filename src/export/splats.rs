@@ -15,7 +15,7 @@ use crate::splats::{Hits, SplatRenderer, Splats};
 use crate::uncertainty::{BakedField, UncertaintyField, is_certain};
 
 /// A view counts if a splat's share of one of its pixels exceeds this.
-const SEEN: f64 = 0.05;
+const MIN_SHARE: f64 = 0.05;
 
 /// What training views show of each splat.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,7 +68,7 @@ impl SeenSplats {
             for (splat, weight) in rows.par_iter().map(of_row).collect::<Vec<_>>().concat() {
                 found.weights[splat] += weight;
                 of_view[splat] += weight;
-                is_seen[splat] |= weight > SEEN;
+                is_seen[splat] |= weight > MIN_SHARE;
             }
             // A splat has one colour in a view.
             view.colors().for_each(|(splat, color)| colors[splat] += of_view[splat] * color);
@@ -133,7 +133,7 @@ pub fn write_splats(
         columns.push(("views", of_kept(&|i| views[i] as f32)));
         comments.push(format!(
             "octobayes {version} weight = sum of the splat's shares of {looked_at} of {all} training pixels; views \
-             = training views with a share above {SEEN}"
+             = training views with a share above {MIN_SHARE}"
         ));
     }
     if let Some(threshold) = threshold {

@@ -16,7 +16,7 @@ pub struct Distortion {
 /// The coefficients that are not 0 by their names; those of every lens always.
 impl std::fmt::Display for Distortion {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        // A number of 300 digits tells less than its exponent.
+        // A number of 300 digits is harder to read than its exponent.
         let short = |v: f64| if v.abs() < 1e9 { v.to_string() } else { format!("{v:e}") };
         let ([k1, k2, k3, k4], [p1, p2]) = (self.k.map(short), self.p.map(short));
         write!(f, "k1 {k1}, k2 {k2}")?;

@@ -13,15 +13,15 @@ const NOISE: f64 = 1e-3;
 /// Largest standard deviation of the axis that right axes agree on, radians: else they are too much alike.
 const MAX_DEVIATION: f64 = 0.1;
 /// Right axes of this mean square spread and more turn with the cameras; those of less may turn with rolls.
-const WIDE: f64 = 0.05;
-/// Ends of an axis are told apart by a mean that is at least this much along it; of narrow rigs, by so much of it.
+const MIN_SPREAD: f64 = 0.05;
+/// Ends of an axis are distinguished by a mean that is at least this much along it; of narrow rigs, by so much of it.
 const LEAN: [f64; 2] = [0.05, 0.34];
 /// Cameras look along the axis if the mean of where they look is at least this much of it.
 const STRAIGHT: f64 = 0.97;
 /// What is up in images that look the same way has a mean of this length.
-const ALIKE: f64 = 0.92;
+const MIN_AGREEMENT: f64 = 0.92;
 
-/// What is up for `cameras`, a unit vector: `given`, if somebody says so, or else the direction to which what is right
+/// What is up for `cameras`, a unit vector: `given`, if it is, or else the direction to which what is right
 /// in their images is most nearly perpendicular, however far they look down.
 ///
 /// The mean of what is up in images is tilted wherever cameras on one side look down. It decides which end of the axis
@@ -48,15 +48,15 @@ fn agreed(cameras: &[Camera]) -> Option<DVec3> {
     let [above, behind] = [mean(|camera| camera.axes.y_axis), mean(|camera| camera.axes.z_axis)];
     if let Some((axis, spread)) = level_axis(cameras) {
         let [lean, straight] = [above.dot(axis), behind.dot(axis)];
-        let least = if spread < WIDE { LEAN[1] * above.length() } else { LEAN[0] };
+        let least = if spread < MIN_SPREAD { LEAN[1] * above.length() } else { LEAN[0] };
         if lean.abs() > least {
             return Some(lean.signum() * axis);
         }
-        if spread >= WIDE {
+        if spread >= MIN_SPREAD {
             return (straight.abs() > STRAIGHT).then(|| straight.signum() * axis);
         }
     }
-    (above.length() > ALIKE).then(|| above.normalize())
+    (above.length() > MIN_AGREEMENT).then(|| above.normalize())
 }
 
 /// The axis to which right axes are most nearly perpendicular, and their mean square spread around it; `None` if they
@@ -92,7 +92,7 @@ fn level_axis(cameras: &[Camera]) -> Option<(DVec3, f64)> {
     let count = cameras.len() as f64;
     let noise = (rolls * count / (count - 2.0).max(1.0)).max(NOISE * NOISE);
     let is_known = noise < MAX_DEVIATION * MAX_DEVIATION * count * spread;
-    (is_known && rolls * if spread < WIDE { 10.0 } else { 4.0 } < spread).then_some((axis, spread))
+    (is_known && rolls * if spread < MIN_SPREAD { 10.0 } else { 4.0 } < spread).then_some((axis, spread))
 }
 
 /// The eigenvector of a symmetric matrix with its smallest eigenvalue, by powers of the inverse.

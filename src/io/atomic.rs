@@ -15,7 +15,7 @@ const SUFFIX: &str = ".part";
 /// How the names of temporary files of a target begin.
 fn prefix_of(target: &Path) -> String {
     let name = target.file_name().unwrap_or_default().to_string_lossy();
-    // Long names are cut, because most systems allow 255 bytes, and a hash tells them apart.
+    // Long names are cut, because most systems allow 255 bytes, and a hash distinguishes them.
     format!(".octobayes-{name:.40}-{:08x}-", crc32fast::hash(name.as_bytes()))
 }
 

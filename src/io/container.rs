@@ -10,8 +10,8 @@
 //! The header names what it holds, so a new setting breaks no old file. Unknown fields and sections are skipped, and
 //! optional ones may be missing. The version is raised only when an older program would misread the file.
 //!
-//! A reader refuses files that are truncated, altered, of another version, or longer than they say. It allocates no
-//! more than the file holds.
+//! A reader refuses files that are truncated, altered, of another version, or longer than their header states. It
+//! allocates no more than the file holds.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -210,8 +210,8 @@ impl Reader {
         Ok(items)
     }
 
-    /// Reads the next section of this name piece by piece, and checks it. Calls `visit` with each piece, whole items, and
-    /// how many items are left with those. Sections of other names before it are skipped.
+    /// Reads the next section of this name piece by piece, and checks it. Calls `visit` with each piece, whole items,
+    /// and how many items are left with those. Sections of other names before it are skipped.
     pub fn pieces<T: Item>(&mut self, name: &str, mut visit: impl FnMut(&[u8], usize) -> Result<()>) -> Result<()> {
         let path = &self.path;
         let missing = || Error::malformed(path, "header", format!("a section `{name}`"), "none");

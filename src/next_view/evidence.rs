@@ -16,7 +16,7 @@ use crate::{Error, Result};
 /// Rays that are differentiated together, as in a run.
 const BATCH: usize = 512;
 
-/// Why a view tells nothing.
+/// Why a view adds nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -80,8 +80,8 @@ pub struct Viewer<'a> {
 }
 
 impl Viewer<'_> {
-    /// Whether cameras are to be looked through one after the other: if the model is asked from the calling thread, for
-    /// many points at once, or if a view takes memory and is itself prepared by all threads.
+    /// Whether cameras are to be looked through one after the other: if the model is evaluated from the calling thread,
+    /// for many points at once, or if a view takes memory and is itself prepared by all threads.
     pub fn takes_turns(&self) -> bool {
         self.source.marched().is_none() || self.source.batch() > 0
     }
@@ -128,7 +128,7 @@ impl Viewer<'_> {
         Ok(evidence)
     }
 
-    /// Notes where rays end, and why they tell nothing if they do not.
+    /// Notes where rays end, and why they add nothing if they do not.
     fn note_ends(&self, camera: &Camera, sight: &[VisibleSegment], evidence: &mut Evidence) {
         // Rays of a model that is not marched end at centres, which lie on the surface.
         let in_front = self.source.march_step().unwrap_or(0.0);

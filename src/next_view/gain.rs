@@ -27,7 +27,7 @@ fn whitened(p: &Information, delta: &Information) -> Information {
 }
 
 /// ½ log det(I + P⁻¹ Δ) in nats: by how much the posterior of this displacement loses entropy, or what a Gaussian
-/// observation of precision Δ tells of it (D-optimality).
+/// observation of precision Δ has about it (D-optimality).
 #[must_use]
 pub fn log_det(p: &Information, delta: &Information) -> f64 {
     let [xx, xy, xz, yy, yz, zz] = whitened(p, delta);

@@ -13,7 +13,7 @@ const SIDE: u32 = 256;
 
 /// Information gain of each pixel of a view alone.
 ///
-/// Pixels of one surface tell the same, so that the sum over pixels is more than the view's gain.
+/// Pixels of one surface hold the same information, so that the sum over pixels is more than the view's gain.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GainMap {
     /// Width and height.

@@ -1,4 +1,4 @@
-//! Which photograph should be taken next? Ranks cameras by what their images, not yet taken, would tell.
+//! Which photograph should be taken next? Ranks cameras by the information that their images, not yet taken, would add.
 //!
 //! Letters: `P_v` = k S_v + I / τ², the precision of the displacement of vertex v given the training pixels, in the
 //! scale of the data ([`DataScale`](crate::posterior::DataScale)); `ΔP_v` = (1/s²) Σ JᵀJ over a candidate's pixels,

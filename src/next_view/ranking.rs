@@ -23,7 +23,7 @@ use crate::{Error, Result};
 pub struct Step {
     /// Number of the candidate, from 0.
     pub index: usize,
-    /// What its image would tell beside those taken before: nats.
+    /// The information that its image would add to those taken before: nats.
     pub gain: f64,
     /// The same for each of its pixels.
     pub gain_per_pixel: f64,
@@ -40,7 +40,7 @@ pub struct Step {
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 #[non_exhaustive]
 pub struct Ranking {
-    /// The views, from the best. Fewer than asked for if not as many candidates add information.
+    /// The views, from the best. Fewer than requested if not as many candidates add information.
     pub steps: Vec<Step>,
     /// `[candidates]`: gain before any was taken.
     pub gains: Vec<f64>,
@@ -51,7 +51,7 @@ pub struct Ranking {
     pub rays_per_vertex: Option<f64>,
     /// Number of gains found anew in later steps.
     pub rescored: usize,
-    /// True if all steps are there, false if the monitor asked to stop.
+    /// True if all steps are there, false if the monitor requested a stop.
     pub complete: bool,
 }
 
@@ -102,7 +102,7 @@ impl<'a> NextView<'a> {
         self
     }
 
-    /// Takes views until there are enough. If the monitor asks to stop, those taken so far are returned.
+    /// Takes views until there are enough. If the monitor requests a stop, those taken so far are returned.
     ///
     /// # Errors
     /// If the field cannot be added to ([`UncertaintyField::precision`]), there is no candidate, a lens distorts in
@@ -187,7 +187,7 @@ impl<'a> NextView<'a> {
         Ok(Ranking { steps, gains, blanks, rays_per_vertex, rescored: candidates.rescored, complete })
     }
 
-    /// What each pixel of a view alone would tell, given the training images.
+    /// The information that each pixel of a view alone would add to the training images.
     ///
     /// # Errors
     /// As [`NextView::run`]; also for [`Gain::Coverage`], which is no sum over pixels.

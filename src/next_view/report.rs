@@ -41,7 +41,7 @@ pub struct NamedCandidate {
     pub index: usize,
     /// Its name.
     pub name: String,
-    /// What its image would tell, nats.
+    /// The information that its image would add, nats.
     pub gain: f64,
     /// Why that is nothing.
     pub why_nothing: Option<Blank>,

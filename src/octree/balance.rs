@@ -7,26 +7,26 @@ use super::{Cell, morton};
 
 /// Cells that must exist in an octree.
 #[derive(Debug, Clone)]
-pub struct Wanted {
+pub struct SplitSet {
     /// Cells that must be split, by level.
     split: Vec<MaskSet>,
 }
 
-impl Wanted {
-    /// Wants nothing but the box, in an octree of levels 0 to `finest`.
+impl SplitSet {
+    /// Splits nothing, not even the box, in an octree of levels 0 to `finest`.
     #[must_use]
     pub fn new(finest: u8) -> Self {
         Self { split: vec![MaskSet::default(); usize::from(finest)] }
     }
 
-    /// Asks for `cell`, as a leaf or split further.
+    /// Adds `cell`, as a leaf or split further.
     pub fn cell(&mut self, cell: Cell) {
         if let Some(above) = cell.level.checked_sub(1) {
             self.split[usize::from(above)].insert(morton::encode(cell.index.map(|i| i / 2)));
         }
     }
 
-    /// Asks for the up to eight finest cells around each point of a brick of the finest lattice.
+    /// Adds the up to eight finest cells around each point of a brick of the finest lattice.
     pub fn around_points(&mut self, brick: u64, mask: u64) {
         let cells = 1 << (self.split.len().saturating_sub(1));
         if let Some(parents) = self.split.last_mut() {
@@ -78,7 +78,7 @@ impl Split {
     }
 }
 
-impl BitOr for Wanted {
+impl BitOr for SplitSet {
     type Output = Self;
 
     /// The union of both.
@@ -123,7 +123,7 @@ mod tests {
         fn bricks_at_once_give_what_the_rule_gives(
             (finest, cells) in (1_u8..=6).prop_flat_map(|f| (Just(f), cells(f))),
         ) {
-            let mut halves = [Wanted::new(finest), Wanted::new(finest)];
+            let mut halves = [SplitSet::new(finest), SplitSet::new(finest)];
             cells.iter().enumerate().for_each(|(i, &cell)| halves[i % 2].cell(cell));
             let [a, b] = halves;
             prop_assert_eq!((a | b).balanced().codes(), balanced_slowly(finest, &cells));
@@ -135,7 +135,7 @@ mod tests {
             points in proptest::collection::vec(proptest::array::uniform3(0_u32..=32), 1..9),
         ) {
             let points: Vec<[u32; 3]> = points.into_iter().map(|p| p.map(|i| i.min(1 << finest))).collect();
-            let (mut together, mut each) = (Wanted::new(finest), Wanted::new(finest));
+            let (mut together, mut each) = (SplitSet::new(finest), SplitSet::new(finest));
             for &point in &points {
                 let code = morton::encode(point);
                 together.around_points(code >> 6, 1 << (code & 63));

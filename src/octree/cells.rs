@@ -1,7 +1,7 @@
 //! The cells of the octree: child masks in breadth-first order.
 //!
 //! A cell is *split* (it has eight children) or a leaf. Every split cell above the second-finest level has a
-//! byte that says which of its children are split too. The j-th set bit of the whole sequence belongs to the
+//! byte that marks which of its children are split too. The j-th set bit of the whole sequence belongs to the
 //! (j + 1)-th split cell, so a rank over the bytes replaces all pointers. Split cells of the second-finest
 //! level need no byte: their children are finest leaves.
 //!
@@ -115,7 +115,7 @@ impl CellTree {
     /// Rebuilds the split cells of each level from the stored form, which may come from an untrusted file.
     ///
     /// # Errors
-    /// If the number of masks does not follow from the masks themselves: a sentence that says what is wrong.
+    /// If the number of masks does not follow from the masks themselves: a sentence that names what is wrong.
     pub fn split_from_raw(finest: u8, root_split: bool, masks: &[u8]) -> Result<Vec<Vec<u64>>, String> {
         let mut split = vec![Vec::new(); usize::from(finest)];
         if root_split {

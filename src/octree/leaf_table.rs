@@ -1,6 +1,6 @@
 //! The leaves of an octree, numbered so that the leaf around a point is found in a few steps.
 //!
-//! A table at a middle level saves the upper part of the way from the root. Below it, a split cell says of each child
+//! A table at a middle level saves the upper part of the way from the root. Below it, a split cell holds of each child
 //! where the way goes on, and of children that are split into finest leaves where these begin.
 
 use super::{Cell, CellTree};

@@ -24,7 +24,7 @@ mod set;
 mod validate;
 mod vertices;
 
-pub(crate) use balance::{Split, Wanted};
+pub(crate) use balance::{Split, SplitSet};
 pub(crate) use blocks::{BLOCK, BRICK};
 pub use cells::Cell;
 pub(crate) use cells::CellTree;
@@ -130,14 +130,14 @@ impl Octree {
     /// The coarsest balanced octree in which every cell of `wanted` exists, as a leaf or split further.
     #[must_use]
     pub fn refined(finest: u8, wanted: impl IntoIterator<Item = Cell>) -> Self {
-        let mut all = Wanted::new(finest);
+        let mut all = SplitSet::new(finest);
         wanted.into_iter().for_each(|cell| all.cell(cell));
-        Self::from_wanted(all)
+        Self::from_split_set(all)
     }
 
     /// The coarsest balanced octree in which every wanted cell exists, as a leaf or split further.
     #[must_use]
-    pub fn from_wanted(wanted: Wanted) -> Self {
+    pub fn from_split_set(wanted: SplitSet) -> Self {
         let split = wanted.balanced();
         Self::from_balanced(&split, &split.codes())
     }
@@ -145,10 +145,10 @@ impl Octree {
     /// The octree of a stored sequence of child masks, which may come from an untrusted file.
     ///
     /// # Errors
-    /// If the masks are inconsistent or the tree is not 2:1 balanced: a sentence that says what is wrong.
+    /// If the masks are inconsistent or the tree is not 2:1 balanced: a sentence that names what is wrong.
     pub fn from_raw(finest: u8, root_split: bool, masks: &[u8]) -> Result<Self, String> {
         let codes = CellTree::split_from_raw(finest, root_split, masks)?;
-        let mut wanted = Wanted::new(finest);
+        let mut wanted = SplitSet::new(finest);
         for (level, codes) in (0..finest).zip(&codes) {
             codes.iter().for_each(|&code| wanted.cell(Cell { level, index: morton::decode(code) }.child(0)));
         }

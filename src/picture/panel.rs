@@ -18,7 +18,7 @@ const MADE_BY: &[u8] = b"Software\0octobayes";
 const FOREGROUND: Rgb<u8> = Rgb([30, 30, 30]);
 const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
 /// Colour of pixels without a value.
-const NOTHING: Rgb<u8> = Rgb([225, 225, 225]);
+const NO_VALUE: Rgb<u8> = Rgb([225, 225, 225]);
 const MARGIN: u32 = 10;
 /// Height of a title.
 const TITLE: u32 = LINE + 4;
@@ -103,7 +103,7 @@ impl Bar {
     fn color(&self, value: f64) -> Rgb<u8> {
         let share = (value - self.range[0]) / (self.range[1] - self.range[0]);
         if share.is_nan() {
-            return NOTHING;
+            return NO_VALUE;
         }
         let color = self.gradient.eval_continuous(share.clamp(0.0, 1.0));
         Rgb([color.r, color.g, color.b])

@@ -5,8 +5,8 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 
 use super::means::BLOCK;
-use super::octree::{TOGETHER, each_vertex};
-use super::pooling::{MOVES, Pooling};
+use super::octree::{VERTICES_AT_ONCE, each_vertex};
+use super::pooling::{MIN_CHANGE, Pooling};
 use super::shrinkage::{Block, Shrinkage};
 use super::{Covariance, OctreePosterior, Scale, Sums, VertexSums, negligible_information};
 use crate::Result;
@@ -52,7 +52,7 @@ impl Reading {
     /// What pools sums, if anything does.
     #[must_use]
     pub fn shrinkage(&self) -> Option<Shrinkage> {
-        let floor = negligible_information(MOVES, self.rays, self.lambda);
+        let floor = negligible_information(MIN_CHANGE, self.rays, self.lambda);
         let shrinkage = Shrinkage { floor, prior: self.lambda * self.rays as f64 };
         self.pooling.is_on().then_some(shrinkage)
     }
@@ -124,10 +124,10 @@ impl<S: Sums> OctreePosterior<S> {
     ) -> Result<(Vec<f32>, Vec<C>)> {
         let count = octree.vertex_count();
         let (mut deviations, mut rays) = (vec![0.0; count], vec![C::default(); count]);
-        let values = deviations.par_chunks_mut(TOGETHER).zip(rays.par_chunks_mut(TOGETHER));
+        let values = deviations.par_chunks_mut(VERTICES_AT_ONCE).zip(rays.par_chunks_mut(VERTICES_AT_ONCE));
         each_vertex(std::slice::from_ref(self), octree, values, |(deviations, rays), v, point, sums| {
-            deviations[v % TOGETHER] = reading.deviation_at(self.limits(), point, sums[0].widened());
-            rays[v % TOGETHER] = code(sums[0].rays());
+            deviations[v % VERTICES_AT_ONCE] = reading.deviation_at(self.limits(), point, sums[0].widened());
+            rays[v % VERTICES_AT_ONCE] = code(sums[0].rays());
         })?;
         Ok((deviations, rays))
     }
@@ -228,7 +228,7 @@ fn shrunk_on_octree(shrinkage: &Shrinkage, octree: &Octree, sums: &[VertexSums])
 }
 
 /// Replaces those of `all` whose vertices are pooled by what `value` makes of the pooled sums. Vertices of coarser
-/// leaves have no neighbours on the finest lattice and have larger hats, so they are left alone, and say nothing of
+/// leaves have no neighbours on the finest lattice and have larger hats, so they are left alone, and have no part in
 /// others.
 fn pool<T: Send>(
     shrinkage: &Shrinkage,

@@ -93,8 +93,8 @@ pub trait Posterior: Sized + Sync + for<'a> AddAssign<&'a Self> {
     /// The runs so far, the oldest first.
     fn runs(&self) -> &[Arc<SortedFile<Self::Sums>>];
 
-    /// Adds the next run of a state that is [restored](Posterior::restore), unless it is not one of such a grid. Returns
-    /// whether it is.
+    /// Adds the next run of a state that is [restored](Posterior::restore), unless it is not one of such a grid.
+    /// Returns whether it is.
     ///
     /// # Errors
     /// If the run cannot be read.

@@ -15,7 +15,7 @@ const PROGRAM: u64 = 48_000_000;
 /// the sums when they leave. The field is made after the last of them have left.
 const SHARE_OF_SUMS: f64 = 0.7;
 /// Least bytes for sums, and for rays under way.
-const LEAST: u64 = 16_000_000;
+const MIN_BYTES: u64 = 16_000_000;
 /// Runs that are read side by side: files that are open, and pages of each in every thread. If there are as many, they
 /// are merged into one.
 pub const MOST_RUNS: usize = 64;
@@ -34,10 +34,10 @@ pub fn room_for_sums(budget: u64, model: usize) -> usize {
 /// for rays under way.
 pub fn least_budget(taken: u64, model: usize) -> u64 {
     let fixed = model as u64 + PROGRAM;
-    // budget - room >= taken + LEAST
-    let beside = (taken + LEAST) as f64 - SHARE_OF_SUMS * fixed as f64;
+    // budget - room >= taken + MIN_BYTES
+    let beside = (taken + MIN_BYTES) as f64 - SHARE_OF_SUMS * fixed as f64;
     let beside = (beside / (1.0 - SHARE_OF_SUMS)).max(0.0) as u64;
-    beside.max(fixed + (LEAST as f64 / SHARE_OF_SUMS) as u64)
+    beside.max(fixed + (MIN_BYTES as f64 / SHARE_OF_SUMS) as u64)
 }
 
 /// The batches in portions of some [`SAMPLES`] each, whatever the number of threads.
@@ -184,7 +184,8 @@ fn runs_beside(checkpoint: &Path) -> impl Iterator<Item = (u32, PathBuf)> {
 }
 
 /// Removes the runs beside a checkpoint that are not among those that it `names`: those of a run that is over or was
-/// killed before it saved its state, and those that were merged. Removes what is left of one that was being written, too.
+/// killed before it saved its state, and those that were merged. Removes what is left of one that was being written,
+/// too.
 ///
 /// # Errors
 /// If a file cannot be removed.

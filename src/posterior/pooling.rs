@@ -4,7 +4,7 @@ use std::fmt::{Display, Formatter};
 
 /// To pooling, a vertex has moved if its own information changes log10 U by more than this, decades. The octree's
 /// tolerance must not decide that: whether a vertex counts changes its neighbours by decades, on a dense grid as well.
-pub const MOVES: f64 = 0.01;
+pub const MIN_CHANGE: f64 = 0.01;
 
 /// Whether a vertex near few rays borrows from its neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -29,7 +29,7 @@ impl Pooling {
     /// Largest change of log10 U by what an octree of this `tolerance` leaves out.
     #[must_use]
     pub fn largest_change(self, tolerance: f64) -> f64 {
-        if self.is_on() { MOVES } else { tolerance }
+        if self.is_on() { MIN_CHANGE } else { tolerance }
     }
 }
 

@@ -43,8 +43,8 @@ const SHIFT: f32 = 0.5;
 /// With so many rays, or twice as many around it, a vertex that did not move is hardly at a surface.
 const CERTAIN_COUNT: f32 = 8.0;
 /// Rays that would have touched a vertex or its neighbours on a surface, as a multiple of T⁴n.
-const EXPECTED: f32 = 3.0;
-/// Least 1 − (m/k)²: beyond the centroid lies in one corner of the kernel, and says nothing of a slope.
+const EXPECTED_RAYS: f32 = 3.0;
+/// Least 1 − (m/k)²: beyond the centroid lies in one corner of the kernel, and shows no slope.
 const MIN_TAPER: f32 = 0.02;
 /// Indices of the diagonal of the information.
 const DIAGONAL: [usize; 3] = [0, 3, 5];
@@ -178,7 +178,7 @@ impl Moved {
         let [near, far] = self.rays.each_ref().map(|rays| rays[i]);
         let own = self.information.each_ref().map(|numbers| numbers[index(place.map(|i| i + HALO), SIDE)]);
         let weights = HALF_COUNTS.map(|half| 1.0 / (1.0 + (half / near).powf(EXPONENT)));
-        let missed = if near == 0.0 { EXPECTED * self.spread[i] } else { 0.0 };
+        let missed = if near == 0.0 { EXPECTED_RAYS * self.spread[i] } else { 0.0 };
         let present = match DIAGONAL.iter().any(|k| own[*k] > 0.0) {
             true => 1.0,
             false => (-((0.5 * far + count as f32) / CERTAIN_COUNT).powi(2) - missed).exp(),
@@ -359,7 +359,7 @@ mod tests {
         }
     }
 
-    /// n rays change what they say by the order of n^−1.5.
+    /// n rays change their result by the order of n^−1.5.
     #[test]
     fn many_rays_speak_for_themselves() {
         let of = |[x, y, z]: [u32; 3], rays| sums([1.0 + f64::from((7 * x + 3 * y + 5 * z) % 11); 3], rays);

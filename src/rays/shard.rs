@@ -64,7 +64,7 @@ impl Shard {
         BATCH.min(self.rays - batch * BATCH)
     }
 
-    /// Checks whether a run of this part can have come as far as `progress` says.
+    /// Checks whether a run of this part can have this `progress`.
     #[must_use]
     pub fn admits(&self, progress: &RunProgress) -> bool {
         progress.batches <= self.batches() && progress.rays <= self.own_rays() && progress.dropped <= progress.rays

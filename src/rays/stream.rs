@@ -31,7 +31,7 @@ pub const SURFACE_WEIGHT: f32 = 0.05;
 /// Rays that a thread traces together in search of surfaces: one may have hundreds of samples.
 const RAYS_TRACED: usize = 32;
 
-/// Points that a batch of rays asks about when it begins: a round of samples along each ray.
+/// Points that a batch of rays evaluates when it begins: a round of samples along each ray.
 const FIRST_POINTS: usize = 4096;
 /// Batches drawn together start with this multiple of the field's batch size, so that calls stay large after most rays
 /// have ended.
@@ -45,7 +45,7 @@ type Group = (u64, Vec<RaySamples>);
 pub(crate) enum End {
     /// After its last ray.
     Complete(RunProgress),
-    /// After these rays, because the monitor asked to stop.
+    /// After these rays, because the monitor requested it.
     Stopped(RunProgress),
 }
 
@@ -178,7 +178,7 @@ impl<'a> RayStream<'a> {
     /// Draws the rays of `shard` and passes their samples to `sink`, in ray order, with the progress that
     /// includes them.
     ///
-    /// A stopped run is resumed after the progress `from`. A field that wants many points at once
+    /// A stopped run is resumed after the progress `from`. A field that prefers many points at once
     /// ([`RadianceField::batch`](crate::field::RadianceField::batch)) gets them, on the thread that calls this; the
     /// samples are the same.
     ///
@@ -229,7 +229,7 @@ impl<'a> RayStream<'a> {
             let most = if groups == 0 { portions.batches } else { groups * GROUP };
             let drawn = progress.batches..(progress.batches + most).min(shard.batches());
             let samples = self.samples(&shard, drawn, portions.rays, &mut by_camera, monitor);
-            // Whoever asked to stop gets no group that may be incomplete.
+            // After a request to stop, no group is passed on that may be incomplete.
             if matches!(samples, Err(Error::Interrupted)) || monitor.interrupted() {
                 return Ok(End::Stopped(progress));
             }
@@ -291,7 +291,7 @@ impl RayStream<'_> {
         for group in (0..batches).step_by(GROUP as usize) {
             check(monitor)?;
             let group: Vec<u64> = (group..(group + GROUP).min(batches)).collect();
-            // A field that wants many points at once sees the whole group as one.
+            // A field that prefers many points at once sees the whole group as one.
             let (each, together) = if volume.batch() > 0 { (group.len(), usize::MAX) } else { (1, RAYS_TRACED) };
             let found: Vec<Vec<[f32; 3]>> = group
                 .par_chunks(each)

@@ -30,7 +30,7 @@ pub struct Occupancy {
     per_unit: DVec3,
     /// σ̂, 1 / scene unit.
     majorant: Pyramid,
-    /// Marks of the cells above the density that was asked for first.
+    /// Marks of the cells above the density of the first request.
     above: OnceLock<Above>,
     /// True if the field bounded all of it, so that nothing was sampled.
     is_certain: bool,

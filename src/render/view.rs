@@ -109,7 +109,7 @@ fn render(
 ) -> Result<RenderedView> {
     check_size(camera)?;
     let [width, height] = camera.resolution;
-    // A field that wants many points at once gets several rows: a ray asks about a few points at a time.
+    // A field that prefers many points at once gets several rows: a ray evaluates a few points at a time.
     let together = tracer.field.batch().div_ceil(POINTS_PER_RAY * width.max(1) as usize).max(1);
     let rows: Vec<u32> = (0..height).collect();
     let rows: Vec<RenderedView> = rows

@@ -32,8 +32,8 @@ impl VolumeRenderer<'_> {
     }
 
     /// The samples of batches of rays, with their Jacobians, and calls `on_rays` with the number of rays that are
-    /// done. If the monitor asks to stop, some are missing. A field that wants many points at once gets those of all
-    /// batches, from this thread.
+    /// done. If the monitor requests a stop, some are missing. A field that prefers many points at once gets those of
+    /// all batches, from this thread.
     ///
     /// # Errors
     /// [`Error::Interrupted`], or if there is no source of derivatives.
@@ -82,7 +82,7 @@ impl VolumeRenderer<'_> {
         }
     }
 
-    /// How many of `views` the field sees as one: all, if it wants many points at once.
+    /// How many of `views` the field gets as one: all, if it prefers many points at once.
     fn together<T>(&self, views: &[T]) -> usize {
         if self.batch() > 0 { views.len().max(1) } else { 1 }
     }

@@ -77,7 +77,7 @@ pub struct TrainingCameras {
 }
 
 impl CameraSource {
-    /// Reads the camera file, or else asks the model, which has a name.
+    /// Reads the camera file, or else takes the model's own cameras; it has a name.
     ///
     /// # Errors
     /// As [`Views::read`] and [`Model::cameras`]; if there is neither a file nor a model with cameras.
@@ -136,7 +136,7 @@ impl CameraSource {
     }
 
     /// The cameras that the model was trained on: its own, or the training frames of the camera file. Warns if they
-    /// differ from those that the model knows.
+    /// differ from those that the model stores.
     ///
     /// # Errors
     /// As [`CameraSource::read`] and [`FrameSplit::select`]; if the camera file changes meanwhile, or if the model has

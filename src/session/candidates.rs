@@ -16,7 +16,7 @@ use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// Candidates whose names are listed.
-const NAMED: usize = 3;
+const MAX_NAMES: usize = 3;
 /// Cosine between the mean up axes of candidates and of training cameras, below which one of them is upside down.
 const UPSIDE_DOWN: f64 = -0.5;
 
@@ -47,20 +47,20 @@ impl Candidates<'_> {
         let (doubt, blanks) = (self.doubt(), self.blanks(ranking));
         if ranking.steps.is_empty() && ranking.complete {
             let cause = doubt.map_or(String::new(), |doubt| format!("; {doubt}"));
-            return Err(Error::setting("candidates", format!("views that tell something{cause}"), blanks.join("; ")));
+            return Err(Error::setting("candidates", format!("views that add something{cause}"), blanks.join("; ")));
         }
         blanks.into_iter().for_each(|text| tell(Message::Note(text)));
         doubt.into_iter().for_each(|text| tell(Message::Warning(text)));
         Ok(())
     }
 
-    /// How many tell nothing, for each reason.
+    /// How many add nothing, for each reason.
     fn blanks(&self, ranking: &Ranking) -> Vec<String> {
         let of = |blank: Blank| {
             let names = self.names.iter().zip(&ranking.blanks).filter(|(_, found)| **found == Some(blank));
             let names: Vec<String> = names.map(|(name, _)| printable(name)).collect();
-            let more = if names.len() > NAMED { ", …" } else { "" };
-            let listed = names.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
+            let more = if names.len() > MAX_NAMES { ", …" } else { "" };
+            let listed = names.iter().take(MAX_NAMES).map(String::as_str).collect::<Vec<_>>().join(", ");
             let (n, all) = (names.len(), self.names.len());
             (n > 0).then(|| format!("{n} of {all} candidates: gain 0, {} ({listed}{more})", blank.words()))
         };

@@ -1,4 +1,4 @@
-//! What the checks before a run, and its result, have to say.
+//! Messages of the checks before a run, and about its result.
 
 use super::training_args::TrainingArgs;
 use crate::dataset::{Frame, ResolutionSource, Views, check_masks};
@@ -35,7 +35,7 @@ pub fn masks(views: &Views, masks: &[Option<Mask>], tell: &mut dyn FnMut(Message
 }
 
 /// Warns if the number of training pixels, by which the scale of the data weighs them, follows from an image size that
-/// nobody knows.
+/// is not known.
 pub fn pixels(views: &Views, pixels: u64, tell: &mut dyn FnMut(Message)) {
     if views.resolution_source == ResolutionSource::Assumed {
         let [w, h] = views.frames[0].camera.resolution;

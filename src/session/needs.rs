@@ -86,7 +86,7 @@ impl Prepared<'_> {
             return Ok(None);
         }
         let plan = match self.run.forecast() {
-            // Of the few rays of a pilot, too many may be at fault by chance; the run will tell.
+            // Of the few rays of a pilot, too many may be at fault by chance; the run will count them.
             Err(Error::NonFinite { .. }) => return Ok(None),
             plan => plan?,
         };

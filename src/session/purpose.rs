@@ -8,7 +8,7 @@ use crate::{Error, Result};
 
 /// The level at which U ranks pixels best, and at which the rays of a candidate view meet (`experiments/depth.md`,
 /// `experiments/next_view.md`).
-const COARSE: u8 = 6;
+const COARSE_LEVEL: u8 = 6;
 
 /// What a field is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -99,7 +99,7 @@ impl Choices {
             }
             (None, None) => None,
             (None | Some(Purpose::Splats), Some(count)) => Some(level_of_splats(count)),
-            (Some(_), _) => Some(COARSE),
+            (Some(_), _) => Some(COARSE_LEVEL),
         };
         let (covariance, keeps_sums, scale) = self.suggested();
         let mut set = Vec::new();

@@ -1,4 +1,4 @@
-//! One run: what is asked for, checked, drawn and attached.
+//! One run: what is requested, checked, drawn and attached.
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ setters! {
         views: Views as skip,
         cameras: Vec<Camera> as skip,
         writer: RefCell<Option<SamplesWriter>> as skip,
-        /// Which pixels of each camera the model was trained on, if not all; by default, as the frames' masks say.
+        /// Which pixels of each camera the model was trained on, if not all; by default, by the frames' masks.
         masks: Vec<Option<Mask>>,
         /// Checksum of the model's content, if known.
         checksum: Option<u32>,
@@ -297,7 +297,7 @@ impl Session {
 impl Prepared<'_> {
     /// Compares the model with the images beside the cameras. Refuses cameras whose images it does not show at all,
     /// unless forced. Warns if it shows them poorly, and of splats that may lie in another frame, unless images speak
-    /// against that or it was said already. Notes how well splats show them.
+    /// against that or the message was sent already. Notes how well splats show them.
     fn check_images(&mut self, is_frame_open: bool, tell: &mut dyn FnMut(Message)) -> Result<()> {
         let (session, stream) = (self.session, self.run.stream());
         let (frames, offset, room) = (session.frames_with_images(), stream.pixel_offset, self.run.room_for_pictures());

@@ -24,7 +24,7 @@ impl Threshold {
     /// `4.2`, or `99%`.
     ///
     /// # Errors
-    /// If the text is neither; says what was expected.
+    /// If the text is neither; with what was expected.
     pub fn parse(text: &str) -> std::result::Result<Self, String> {
         let expected = "expected log10 U as a number, or a share of visible surfaces as 99%";
         match text.strip_suffix('%').map(|share| share.trim().parse::<f64>()) {
@@ -38,7 +38,7 @@ impl Threshold {
     /// surface.
     ///
     /// # Errors
-    /// If a share is asked of a field without points on visible surfaces.
+    /// If a share is requested of a field without points on visible surfaces.
     pub fn log10(self, field: &BakedField, tell: &mut dyn FnMut(Message)) -> Result<f64> {
         let prior = field.field().record().reading().prior().log10();
         match self {

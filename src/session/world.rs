@@ -12,7 +12,7 @@ const POINTS: usize = 512;
 /// See [`POINTS`].
 const SPLATS: usize = 100_000;
 /// Points lie near splats that grew from them: within this share of their own spread.
-const NEAR: f64 = 0.03;
+const NEAR_SHARE: f64 = 0.03;
 /// Another frame must fit so many times better than their own.
 const BETTER: f64 = 4.0;
 
@@ -39,7 +39,7 @@ pub fn other_frame(centers: &[Vec3], views: &Views) -> Result<Option<String>> {
     };
     let misfits: Vec<f64> = frames.iter().map(|(_, frame)| misfit(frame)).collect();
     let best = (1..misfits.len()).min_by(|&a, &b| misfits[a].total_cmp(&misfits[b]));
-    if let Some(best) = best.filter(|&best| misfits[best] < NEAR && misfits[best] * BETTER < misfits[0]) {
+    if let Some(best) = best.filter(|&best| misfits[best] < NEAR_SHARE && misfits[best] * BETTER < misfits[0]) {
         let ((name, frame), times) = (&frames[best], misfits[0] / misfits[best]);
         let folder = if views.path.is_dir() { Some(views.path.as_path()) } else { views.path.parent() };
         let file = folder.unwrap_or(std::path::Path::new("")).join("dataparser_transforms.json");
@@ -51,7 +51,7 @@ pub fn other_frame(centers: &[Vec3], views: &Views) -> Result<Option<String>> {
         )));
     }
     // Points that fit as they are speak against a file that lies there by chance.
-    let fits = misfits.first().is_some_and(|own| *own < NEAR);
+    let fits = misfits.first().is_some_and(|own| *own < NEAR_SHARE);
     Ok(frame_beside(&views.path).filter(|_| !fits).map(|file| {
         format!(
             "splats in nerfstudio's frame, as `ns-export gaussian-splat` writes them, and cameras in the data set's: \
@@ -101,7 +101,7 @@ mod tests {
             let found = other_frame(&splats(&points, frame), &views).unwrap().unwrap();
             assert!(found.contains(name) && found.contains(&frame.to_json()), "{found}");
         }
-        // What is said is read, and moves the cameras there.
+        // The file that the message names is read, and moves the cameras there.
         let file = views.path.join("dataparser_transforms.json");
         std::fs::write(&file, frames[3].1.to_json()).unwrap();
         let moved = Views::read(&file, None).unwrap();

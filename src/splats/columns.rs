@@ -31,7 +31,7 @@ impl Scalar {
         })
     }
 
-    /// The older name, which all programs know.
+    /// The older name, which all programs read.
     pub const fn name(self) -> &'static str {
         match self {
             Self::I8 => "char",

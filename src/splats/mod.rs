@@ -25,7 +25,9 @@ pub(crate) use render::{Footprint, Projector, Shape, boxed, middle};
 pub use render::{SeenSpace, SplatRenderer, seen_domain, tile_of};
 // What only the program, Python and the experiments name.
 #[doc(hidden)]
-pub use render::{BEYOND, DARK, FAINTEST, Hit, Hits, MOST_OPAQUE, NEAR, SplatView, share_too_near};
+pub use render::{
+    FAINTEST, FRUSTUM_MARGIN, Hit, Hits, MIN_TRANSMITTANCE, MOST_OPAQUE, NEAR, SplatView, share_too_near,
+};
 
 #[cfg(feature = "files")]
 use self::columns::Layout;

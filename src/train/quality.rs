@@ -70,7 +70,7 @@ pub fn quality(field: &HashGrid, shots: &[Shot], background: Vec3, pixels: usize
 }
 
 /// Pixels of a first comparison, from which the time of others is estimated.
-const FIRST: usize = 256;
+const FIRST_PIXELS: usize = 256;
 
 /// Like [`quality`], on as many of the `pixels` as are compared within `allowance`, but on a few hundred at least: a
 /// model that has hardly begun to learn is fog, whose rays take a hundred times as long.
@@ -83,7 +83,7 @@ pub fn quality_within(
     allowance: Duration,
 ) -> Option<Quality> {
     let start = Instant::now();
-    let mut count = pixels.min(FIRST);
+    let mut count = pixels.min(FIRST_PIXELS);
     loop {
         let begun = Instant::now();
         let found = quality(field, shots, background, count)?;

@@ -165,7 +165,7 @@ impl<'a> Trainer<'a> {
         if is_finite { Ok(()) } else { Err(self.diverged("weights of the networks are not finite")) }
     }
 
-    /// What to say of a run whose loss or parameters are no longer finite.
+    /// The error of a run whose loss or parameters are no longer finite.
     pub(super) fn diverged(&self, what: &str) -> Error {
         let TrainSettings { learning_rate, .. } = TrainSettings::default();
         let expected = format!("a rate at which loss and parameters stay finite, such as the default {learning_rate}");

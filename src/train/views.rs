@@ -95,7 +95,7 @@ pub struct DatasetFiles {
     pub notes: Vec<String>,
 }
 
-/// Keys of instant-ngp that say where the scene lies. Its cube, of edge `aabb_scale` around ½, holds `scale` x +
+/// Keys of instant-ngp for where the scene lies. Its cube, of edge `aabb_scale` around ½, holds `scale` x +
 /// `offset`.
 #[derive(Deserialize)]
 struct SceneBox {

@@ -15,7 +15,7 @@ use super::{Estimate, Support, UncertaintyField};
 use crate::octree::{Cell, LeafTable, trilinear};
 
 /// Points whose leaves are found before the values of any are read, so that the memory works on many at a time.
-const TOGETHER: usize = 32;
+const POINTS_AT_ONCE: usize = 32;
 
 /// The number of the leaf around a point, its level, and the weights of its corners.
 type Found = (usize, u8, [f64; 8]);
@@ -110,10 +110,10 @@ impl<'a> BakedField<'a> {
     pub fn query_all(&self, points: &[Vec3]) -> Vec<Estimate> {
         let Some((table, corners)) = &self.baked else { return self.field.query_all(points) };
         // The points that come next, and their leaves.
-        let none = || (0..0, [None; TOGETHER]);
-        let one = |(ahead, found): &mut (Range<usize>, [Option<Found>; TOGETHER]), i: usize| {
+        let none = || (0..0, [None; POINTS_AT_ONCE]);
+        let one = |(ahead, found): &mut (Range<usize>, [Option<Found>; POINTS_AT_ONCE]), i: usize| {
             if !ahead.contains(&i) {
-                *ahead = i..i + TOGETHER;
+                *ahead = i..i + POINTS_AT_ONCE;
                 for (found, &x) in found.iter_mut().zip(&points[i..]) {
                     *found = self.leaf(table, x);
                 }
@@ -123,7 +123,7 @@ impl<'a> BakedField<'a> {
             }
             self.estimate(corners, found[i - ahead.start])
         };
-        (0..points.len()).into_par_iter().with_min_len(32 * TOGETHER).map_init(none, one).collect()
+        (0..points.len()).into_par_iter().with_min_len(32 * POINTS_AT_ONCE).map_init(none, one).collect()
     }
 
     /// log10 U at these shares of the points on visible surfaces: [`UncertaintyField::surface_quantiles`].
@@ -196,7 +196,7 @@ mod tests {
                 );
             }
             assert!(found.iter().filter(|answer| !answer.estimate.inside).count() > 1000);
-            for few in [0, 1, TOGETHER - 1, TOGETHER, TOGETHER + 1] {
+            for few in [0, 1, POINTS_AT_ONCE - 1, POINTS_AT_ONCE, POINTS_AT_ONCE + 1] {
                 assert_eq!(
                     baked.query_all(&points[..few]),
                     found[..few].iter().map(|a| a.estimate).collect::<Vec<_>>()

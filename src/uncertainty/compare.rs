@@ -96,7 +96,7 @@ impl UncertaintyField {
     }
 }
 
-/// Most points of a comparison; they and what both fields say of them take some 10 GB.
+/// Most points of a comparison; they and the values of both fields there take some 10 GB.
 const MAX_POINTS: usize = 100_000_000;
 
 /// Compares `a` with the reference `b`.

@@ -1,8 +1,8 @@
 //! The field file, `.oct`.
 //!
 //! It is a [`container`] whose header holds record, lattice, and what the field's
-//! [layers](super::layers) say in JSON, each under its name. A layer that a field does not have is not named. Sections
-//! are
+//! [layers](super::layers) store in JSON, each under its name. A layer that a field does not have is not named.
+//! Sections are
 //!
 //! ```text
 //! masks        u8         child masks of the octree, breadth first (empty for a dense grid)
@@ -204,7 +204,7 @@ impl UncertaintyField {
         container::write(path, FORMAT, &header, &sections)
     }
 
-    /// Reads and checks what the header of a file says. What follows is read by [`UncertaintyField::read`] only.
+    /// Reads and checks the header of a file. What follows is read by [`UncertaintyField::read`] only.
     ///
     /// # Errors
     /// If the file is missing, or is not complete, or not a field of this version.

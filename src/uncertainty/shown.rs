@@ -7,7 +7,7 @@ use crate::geometry::Camera;
 use crate::render::{Pixel, RenderedView};
 
 /// Pixels of this opacity or less are nearly transparent: their log10 U is undefined.
-const FAINT: f64 = 0.05;
+const MIN_OPACITY: f64 = 0.05;
 
 /// Why U is undefined for a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,7 +24,7 @@ pub enum Unknown {
 pub fn unknowns(field: &BakedField, camera: &Camera, offset: f64, view: &RenderedView) -> Vec<Option<Unknown>> {
     let points: Vec<Vec3> = view.median_points(camera, offset).map(|(_, x)| x.as_vec3()).collect();
     let unknown = |(found, pixel): (Answer, &Pixel)| match found.observability {
-        _ if !found.estimate.inside => (pixel.opacity > FAINT).then_some(Unknown::Outside),
+        _ if !found.estimate.inside => (pixel.opacity > MIN_OPACITY).then_some(Unknown::Outside),
         Some(Observability::Unseen) if pixel.opacity > 0.5 => Some(Unknown::Unseen),
         _ => None,
     };
@@ -35,7 +35,7 @@ pub fn unknowns(field: &BakedField, camera: &Camera, offset: f64, view: &Rendere
 /// or less, and where the matter that is seen lies outside the field's domain. `unknown` is of [`unknowns`].
 #[must_use]
 pub fn shown_log10(view: &RenderedView, log10: &[f64], unknown: &[Option<Unknown>]) -> Vec<f64> {
-    let is_shown = |pixel: &Pixel, why| pixel.opacity > FAINT && why != Some(Unknown::Outside);
+    let is_shown = |pixel: &Pixel, why| pixel.opacity > MIN_OPACITY && why != Some(Unknown::Outside);
     let pixels = view.pixels.iter().zip(unknown).zip(log10);
     pixels.map(|((pixel, &why), &u)| if is_shown(pixel, why) { u } else { f64::NAN }).collect()
 }
@@ -47,7 +47,7 @@ mod tests {
     #[test]
     fn veils_and_matter_outside_show_nothing() {
         let pixel = |opacity| Pixel { opacity, ..Pixel::default() };
-        let opacities = [0.0, 1e-8, FAINT, 0.051, 1.0, 1.0, 1.0];
+        let opacities = [0.0, 1e-8, MIN_OPACITY, 0.051, 1.0, 1.0, 1.0];
         let view =
             RenderedView { resolution: [7, 1], pixels: opacities.map(pixel).to_vec(), ..RenderedView::default() };
         let log10 = [f64::NAN, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0];

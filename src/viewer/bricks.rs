@@ -27,7 +27,7 @@ pub const AS_AT_POINT: u8 = 0;
 /// The code of the most rays. Few codes compress well; a few thousand rays are right within 15 %.
 pub const RAYS: f64 = 31.0;
 /// The share of a cell's edge by which the points lie apart over which density is averaged.
-const APART: f64 = 0.2;
+const POINT_DISTANCE: f64 = 0.2;
 /// Where they lie around a sample, in these shares: corners of a cube of which each edge has one.
 const TETRAHEDRON: [[f64; 3]; 4] = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
 /// Steps of the codes of log10 U: as it is seen, at a point, and at a point that is not seen. Few codes compress well.
@@ -45,7 +45,7 @@ pub struct Brick {
     pub matter: Vec<u8>,
     /// `[SAMPLES]`: red, green and blue.
     pub color: Vec<[u8; 3]>,
-    /// `[SAMPLES]`: mean of log10 U along rays, so that rays through the volume say what `render` says; from 1 at the
+    /// `[SAMPLES]`: mean of log10 U along rays, so that rays through the volume show what `render` shows; from 1 at the
     /// lower end to [`PRIOR`], or [`AS_AT_POINT`].
     pub seen: Vec<u8>,
     /// `[SAMPLES]`: log10 U at the sample, from 1 at the lower end to [`PRIOR`]; or [`UNSEEN`].
@@ -87,11 +87,11 @@ struct Matter {
     alpha: Vec<f32>,
     is_marked: Vec<bool>,
     color: Vec<[u8; 3]>,
-    /// `None` where no interpolation asks.
+    /// `None` where no interpolation reads it.
     found: Vec<Option<Known>>,
 }
 
-/// What the field says at a sample.
+/// Values of the field at a sample.
 #[derive(Clone, Copy)]
 struct Known {
     log10: f32,
@@ -202,7 +202,7 @@ fn absorbed(
     is_marked: &[bool],
     model: &dyn RadianceField,
 ) -> Vec<f64> {
-    let corners = TETRAHEDRON.map(|corner| APART * DVec3::from(corner));
+    let corners = TETRAHEDRON.map(|corner| POINT_DISTANCE * DVec3::from(corner));
     let share = 1.0 / corners.len() as f64;
     let mut points = Vec::with_capacity(corners.len() * SAMPLES);
     for (i, x) in positions.iter().enumerate() {

@@ -18,10 +18,10 @@ use crate::metrics::median;
 const CORRECTIONS: usize = 3;
 /// Light that must be lost around a sample for it to be fitted.
 const MIN_LOST_LIGHT: f32 = 0.02;
-/// Rays that lose less are not asked.
-const FAINT: f32 = 0.3;
+/// Rays that lose less do not count.
+const MIN_RAY_LOSS: f32 = 0.3;
 /// Steps that count for less of their ray are left out.
-const SHORT: f32 = 0.004;
+const MIN_STEP_SHARE: f32 = 0.004;
 /// Sums are kept in so many parts, whatever the number of threads, so that values do not depend on it.
 const PARTS: usize = 4;
 /// Not fitted.
@@ -119,18 +119,18 @@ impl Fit {
 impl Paths {
     fn new(volume: &Volume, rays: &[SeenRay]) -> Self {
         let mut paths = Self { ends: vec![0], ..Self::default() };
-        for ray in rays.iter().filter(|ray| ray.opacity >= FAINT && ray.log10.is_finite()) {
+        for ray in rays.iter().filter(|ray| ray.opacity >= MIN_RAY_LOSS && ray.log10.is_finite()) {
             let before = paths.steps.len();
             let passed = volume.march(
                 &ray.ray,
                 |_| true,
                 |step| {
-                    if step.weight >= SHORT {
+                    if step.weight >= MIN_STEP_SHARE {
                         paths.steps.push(step);
                     }
                 },
             );
-            if passed.transmittance > f64::from(1.0 - FAINT) || paths.steps.len() == before {
+            if passed.transmittance > f64::from(1.0 - MIN_RAY_LOSS) || paths.steps.len() == before {
                 paths.steps.truncate(before);
                 continue;
             }

@@ -9,9 +9,9 @@ use crate::geometry::{Domain, Norm, Ray};
 /// Of a cell.
 const STEP: f64 = 0.5;
 /// Transmittance at which a ray ends.
-const END: f64 = 0.003;
+const MIN_TRANSMITTANCE: f64 = 0.003;
 /// What absorbs less along a cell is taken for nothing: codes of √α.
-const NOTHING: f64 = 0.002 * 255.0;
+const MIN_ALPHA_CODE: f64 = 0.002 * 255.0;
 
 /// A volume with matter.
 pub struct Volume<'a> {
@@ -65,7 +65,7 @@ impl Volume<'_> {
         let Some((mut t, end)) = grid.bounds.clip(&ray) else { return passed };
         let mut is_long = false;
         for _ in 0..4096 {
-            if t >= end || passed.transmittance <= END {
+            if t >= end || passed.transmittance <= MIN_TRANSMITTANCE {
                 break;
             }
             let p = ray.at(t);
@@ -102,7 +102,7 @@ impl Volume<'_> {
             let base = slot * SAMPLES + x + SIDE * (y + SIDE * z);
             let mut step = Step { base: base as u32, part: (inside - cell).as_vec3().to_array(), weight: 0.0 };
             let code: f32 = step.corners().map(|(i, share)| share * f32::from(self.matter[i])).sum();
-            if f64::from(code) <= NOTHING {
+            if f64::from(code) <= MIN_ALPHA_CODE {
                 t += 2.0 * advance;
                 is_long = true;
                 continue;

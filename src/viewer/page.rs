@@ -90,7 +90,7 @@ impl Page<'_> {
         out + rest
     }
 
-    /// What all pages say of a model that lies in the first box, and nearly all of it in the second.
+    /// What all pages hold of a model that lies in the first box, and nearly all of it in the second.
     fn about(&self, [bounds, core]: [Aabb; 2]) -> Value {
         let field = self.field;
         let contraction = match field.lattice().domain() {

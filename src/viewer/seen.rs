@@ -12,10 +12,10 @@ use crate::uncertainty::{BakedField, ThresholdedField};
 
 /// Most cameras that look.
 const CAMERAS: usize = 48;
-/// Rays that are traced together, unless the model wants more.
-const TOGETHER: usize = 1024;
+/// Rays that are traced together, unless the model prefers more.
+const RAYS_AT_ONCE: usize = 1024;
 /// Rays that lose less are left out.
-const FAINT: f64 = 0.02;
+const MIN_RAY_LOSS: f64 = 0.02;
 /// What contributes less to its ray is not seen.
 const MIN_CONTRIBUTION: f64 = 0.01;
 
@@ -81,7 +81,7 @@ pub fn look(
         .collect();
     monitor.begin("rays", rays.len() as u64);
     let found: Vec<Vec<SeenRay>> = rays
-        .par_chunks(TOGETHER.max(tracer.field.batch() / 4))
+        .par_chunks(RAYS_AT_ONCE.max(tracer.field.batch() / 4))
         .map(|rays| {
             check(monitor)?;
             monitor.advance(rays.len() as u64);
@@ -99,12 +99,12 @@ fn see(tracer: &Tracer, field: &BakedField, most: f64, rays: &[Ray]) -> Vec<Seen
     let traced = &buffers.traced;
     let mut quadrature = CompositingWeights::default();
     quadrature.set(traced, tracer.marcher.step);
-    // Only depths are asked of the pixel.
+    // Only depths of the pixel are needed.
     let colors = vec![Vec3::ZERO; traced.t.len()];
     let of_ray = |(r, ray): (usize, &Ray)| {
         let samples = traced.samples(r);
         let pixel = quadrature.pixel(&samples, &colors, &traced.t, DVec3::ZERO);
-        if pixel.opacity < FAINT {
+        if pixel.opacity < MIN_RAY_LOSS {
             return None;
         }
         let hit =

@@ -12,7 +12,7 @@ use super::pack::text;
 use super::page::{Page, Parts, write};
 use crate::export::SeenSplats;
 use crate::geometry::Aabb;
-use crate::splats::{BEYOND, DARK, FAINTEST, MOST_OPAQUE, NEAR, Splats};
+use crate::splats::{FAINTEST, FRUSTUM_MARGIN, MIN_TRANSMITTANCE, MOST_OPAQUE, NEAR, Splats};
 use crate::uncertainty::Observability;
 use crate::{Error, Result};
 
@@ -238,7 +238,7 @@ fn about(view: &SplatsView, packed: &Packed) -> Value {
         "all": view.splats.len(),
         "isMip": view.splats.mode().is_compensated(),
         "dilation": view.splats.mode().dilation(),
-        "drawn": { "near": NEAR, "beyond": BEYOND, "faintest": FAINTEST, "mostOpaque": MOST_OPAQUE, "dark": DARK },
+        "drawn": { "near": NEAR, "beyond": FRUSTUM_MARGIN, "faintest": FAINTEST, "mostOpaque": MOST_OPAQUE, "dark": MIN_TRANSMITTANCE },
         "codes": { "anchor": anchor.to_array(), "logScales": log_scales, "color": color, "low": log10[0],
             "bytes": BYTES, "prior": PRIOR, "halfTurn": HALF_TURN },
     })

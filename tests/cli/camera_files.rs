@@ -85,7 +85,7 @@ fn lists_of_training_frames_are_honoured() {
     desk.cameras(|file| file["test_filenames"] = json!(["images/0.png"]));
     let (balls, said) = desk.seen("");
     assert_eq!(balls, ".###");
-    assert!(said.contains("1 is held out, as the file says"), "{said}");
+    assert!(said.contains("1 is held out, by the file"), "{said}");
     assert_eq!(desk.seen("--views all").0, "####");
     desk.cameras(|file| file["n_frames"] = json!(1));
     assert_eq!(desk.seen("").0, "#...");

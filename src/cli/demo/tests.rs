@@ -1,4 +1,4 @@
-//! What the demo's numbers say of a known case. `tests/docs/book.rs` runs the whole demo.
+//! The demo's numbers in a known case. `tests/docs/book.rs` runs the whole demo.
 
 use glam::Vec3;
 

@@ -207,7 +207,7 @@ impl Args {
         self.print(&report, &readings[0].name)
     }
 
-    /// Opens the fields and their model, and reads the fields in all ways that are asked for.
+    /// Opens the fields and their model, and reads the fields in all ways that are requested.
     fn open(&self) -> Result<(OpenedModel, RaySettings, Vec<Reading>)> {
         if let Some(path) = &self.calibrate {
             check_field_name(path)?;

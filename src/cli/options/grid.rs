@@ -60,7 +60,7 @@ pub struct DomainOptions {
 }
 
 impl DomainOptions {
-    /// What the options say, if anything.
+    /// The domain of the options, if any is given.
     pub fn chosen(&self) -> Result<Option<Domain>> {
         match self.contract {
             Some((norm, [x, y, z, radius])) => Domain::contracted(DVec3::new(x, y, z), radius, norm).map(Some),
@@ -160,7 +160,7 @@ pub fn check_field_name(output: &Path) -> Result<()> {
     Err(Error::extension(output, expected))
 }
 
-/// What an official `.npy` does not say: its box and its number of rays.
+/// What an official `.npy` lacks: its box and its number of rays.
 #[derive(Args)]
 pub struct OfficialOptions {
     /// Box of the official code's `.npy` grids: x0,y0,z0,x1,y1,z1 in scene units

@@ -45,7 +45,7 @@ impl std::fmt::Display for RayCount {
 }
 
 /// Numbers up to this need no other spelling.
-const SHORT: u64 = 2000;
+const LONGEST_PLAIN: u64 = 2000;
 
 /// What [`count`] takes, in words.
 fn expected_count(range: &impl RangeBounds<u64>) -> String {
@@ -59,7 +59,8 @@ fn expected_count(range: &impl RangeBounds<u64>) -> String {
         Bound::Excluded(&high) => format!("from {low} to {}", high - 1),
         Bound::Unbounded => format!("of {low} or more"),
     };
-    let is_short = matches!(range.end_bound(), Bound::Included(&high) | Bound::Excluded(&high) if high <= SHORT);
+    let is_short =
+        matches!(range.end_bound(), Bound::Included(&high) | Bound::Excluded(&high) if high <= LONGEST_PLAIN);
     let such_as = if is_short { "" } else { ", such as 20000, 20_000, 20k or 2e4" };
     format!("expected a whole number {high}{such_as}")
 }

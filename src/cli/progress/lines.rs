@@ -1,6 +1,6 @@
 //! Progress for stderr that is no terminal: a line every ten seconds, and none for work that takes less.
 //!
-//! How much time is left shows once enough is done to say.
+//! The time that is left shows once enough is done to estimate it.
 
 use std::time::{Duration, Instant};
 

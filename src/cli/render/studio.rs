@@ -25,7 +25,7 @@ pub struct Studio<'a> {
     pub average: RayAverage,
     /// Whether depth gets its standard deviation.
     pub depth_error: bool,
-    /// What the model's training cameras see of it, if that is to be told beside the deviation.
+    /// What the model's training cameras see of it, if that stands beside the deviation.
     pub training: Option<TrainingViews>,
     /// Ends of the colour bar of log10 U.
     pub log10: [f64; 2],
@@ -68,19 +68,19 @@ impl Studio<'_> {
         Ok((self.whole_view(camera)?, cleaned))
     }
 
-    /// log10 U as pictures show it, `[height · width]`: NaN where there is nothing to say.
+    /// log10 U as pictures show it, `[height · width]`: NaN where there is no value.
     pub fn shown_log10(&self, camera: &Camera, view: &RenderedView) -> Vec<f64> {
         let unknowns = unknowns(self.baked, camera, self.offset, view);
         shown_log10(view, &view.log10_uncertainty[0], &unknowns)
     }
 
-    /// Whether training cameras confirm the depth of each pixel, `[height · width]`; `None` if that is not to be told.
+    /// Whether training cameras confirm the depth of each pixel, `[height · width]`; `None` if that is not requested.
     pub fn confirmed(&self, camera: &Camera, view: &RenderedView) -> Option<Vec<bool>> {
         self.training.as_ref().map(|training| training.confirmed(camera, self.offset, view))
     }
 
-    /// How differently training images show what each pixel shows, `[height · width]`; `None` if that is not to be
-    /// told.
+    /// How differently training images show what each pixel shows, `[height · width]`; `None` if that is not
+    /// requested.
     pub fn color_spread(&self, camera: &Camera, view: &RenderedView) -> Option<Vec<f64>> {
         let told = self.field.color_spread().filter(|_| !view.depth_deviation.is_empty());
         told.map(|spread| spread.of_view(camera, self.offset, view))

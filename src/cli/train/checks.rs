@@ -43,7 +43,7 @@ pub(super) fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
 pub(super) fn note_box(bounds: Aabb, files: &DatasetFiles) {
     if bounds == files.bounds && bounds != DatasetFiles::unit_cube() {
         let [low, high] = [bounds.min(), bounds.max()];
-        announce!("note: the scene is from {low:.3} to {high:.3}, as the camera file says (--box for another box)");
+        announce!("note: the scene is from {low:.3} to {high:.3}, by the camera file (--box for another box)");
     }
 }
 

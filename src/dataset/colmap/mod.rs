@@ -64,7 +64,7 @@ const UNDISTORTED: [&str; 2] = ["dense", "undistorted"];
 struct Lens(usize);
 
 impl Lens {
-    /// The kind of this name; the error says what is expected.
+    /// The kind of this name; the error names what is expected.
     fn named(name: &str) -> std::result::Result<Self, Complaint> {
         let index = MODELS.iter().position(|(known, _)| *known == name);
         index.map(Self).ok_or_else(|| Self::unknown(name.to_string()))
@@ -386,7 +386,7 @@ fn lens(raw: &RawCamera, requested: Option<[u32; 2]>) -> Parsed<Camera> {
     Ok(requested.map_or(camera, |requested| camera.resized(requested)))
 }
 
-/// Position and axes, camera-to-world with OpenGL's axes; the error says what was found.
+/// Position and axes, camera-to-world with OpenGL's axes; the error names what was found.
 fn pose(image: &RawImage) -> std::result::Result<(DVec3, DMat3), String> {
     let [w, x, y, z] = image.quaternion;
     let (quaternion, translation) = (DQuat::from_xyzw(x, y, z, w), DVec3::from(image.translation));

@@ -32,7 +32,7 @@ impl LensKind {
         self.camera_model.is_some() || file.camera_model.is_some()
     }
 
-    /// Names what makes the lens other than perspective. What the frame says takes precedence over the file.
+    /// Names what makes the lens other than perspective. The frame's keys take precedence over the file's.
     pub fn other_than_perspective(&self, file: &Self) -> Option<String> {
         let model = self.camera_model.as_ref().or(file.camera_model.as_ref());
         let other = model.filter(|name| !PERSPECTIVE.iter().any(|known| known.eq_ignore_ascii_case(name)));

@@ -19,7 +19,7 @@ fn pooled_fields_do_not_depend_on_the_tolerance() {
     for (octree, settings) in all[2..].iter().zip(&octrees) {
         let compared = crate::uncertainty::compare(&octree.field, &all[0].field, 20_000, 1).unwrap();
         let most = compared.in_box.unwrap().max.max(compared.on_surfaces.unwrap().max);
-        // What the table of errors says, and the rounding of two deviations to f32.
+        // The bound in the table of errors, and the rounding of two deviations to f32.
         assert_eq!(octree.errors.coarse_leaves, 0.01);
         assert!(most <= 0.01 + 1e-6, "tolerance {}: {most}", settings.tolerance);
     }

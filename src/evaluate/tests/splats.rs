@@ -1,4 +1,4 @@
-//! Splats under the same judge: their measures against the slow images, every pixel and every vertex asked.
+//! Splats under the same judge: their measures against the slow images, every pixel and every vertex evaluated.
 
 use glam::{DMat3, DVec3, Quat, Vec3};
 

@@ -331,7 +331,7 @@ impl TrainedField for HashGrid {
     fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
         if let Some(fov) = intrinsics.fov_x.filter(|_| !self.cameras.is_empty()) {
             let found = format!("{} degrees", fov.to_degrees());
-            return Err(Error::setting("angle of view", "none: the model knows the lenses of its cameras", found));
+            return Err(Error::setting("angle of view", "none: the model stores the lenses of its cameras", found));
         }
         let sized = |named: &NamedCamera| intrinsics.resolution.map_or(named.camera, |size| named.camera.resized(size));
         Ok((!self.cameras.is_empty()).then(|| self.cameras.iter().map(sized).collect()))

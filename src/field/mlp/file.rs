@@ -71,7 +71,7 @@ impl<'a> File<'a> {
         }
     }
 
-    /// Elements of a tensor that [`Self::find`] found to be f32; the error says what is wrong with it.
+    /// Elements of a tensor that [`Self::find`] found to be f32; the error names what is wrong with it.
     fn elements(&self, name: &str) -> std::result::Result<Vec<f32>, String> {
         match self {
             Self::Safetensors(file) => {

@@ -230,7 +230,7 @@ impl RadianceField for Ppng {
 impl TrainedField for Ppng {
     fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
         let fov_x = intrinsics.fov_x.ok_or_else(|| {
-            Error::setting("angle of view", "the horizontal angle of view, which a .ppng file does not tell", "none")
+            Error::setting("angle of view", "the horizontal angle of view, which a .ppng file does not store", "none")
         })?;
         let resolution = intrinsics.resolution.unwrap_or(RESOLUTION);
         let cameras = self.poses.iter().map(|&pose| self.coordinates.camera(pose, fov_x, resolution));

@@ -16,7 +16,7 @@ use super::pilot_counts::{Counts, PilotCounts};
 use super::sparse::{BLOCK_BYTES, BRICK_BYTES, spare_bytes};
 use crate::geometry::Lattice;
 use crate::io::mix;
-use crate::octree::{Leaves, MaxLevels, Wanted, morton};
+use crate::octree::{Leaves, MaxLevels, SplitSet, morton};
 use crate::posterior::Entries;
 use crate::render::RaySamples;
 
@@ -239,7 +239,7 @@ impl SpeciesEstimate {
 
     /// The cells that the octree of a ray splits, by level, given the sorted codes of the vertices that it touched.
     fn split_for(&self, vertices: &[u64], split: &mut [Vec<u64>]) {
-        let mut wanted = Wanted::new(self.lattice.level());
+        let mut wanted = SplitSet::new(self.lattice.level());
         for block in vertices.chunk_by(|a, b| a >> 6 == b >> 6) {
             let mask = block.iter().fold(0, |mask, code| mask | 1 << (code & 63));
             wanted.around_points(block[0] >> 6, mask);

@@ -27,7 +27,7 @@ mod walk;
 
 pub use census::{Needs, SpeciesEstimate};
 pub use refine::{Criteria, Criterion, Refinement};
-pub(super) use refine::{TOGETHER, each_vertex};
+pub(super) use refine::{VERTICES_AT_ONCE, each_vertex};
 
 use std::ops::{AddAssign, Range};
 use std::sync::Arc;

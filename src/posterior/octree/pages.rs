@@ -7,12 +7,12 @@ use bytemuck::{Pod, cast_slice, from_bytes, from_bytes_mut};
 use memmap2::MmapMut;
 
 /// Items of the first mapping, whose pages are small: of sums 2 or 3.5 MiB. Half a page is spare in each partition.
-const FIRST: usize = 1 << 16;
+const FIRST_ITEMS: usize = 1 << 16;
 /// Items of every further mapping: of sums four or seven large pages.
-const FURTHER: usize = 1 << 18;
+const FURTHER_ITEMS: usize = 1 << 18;
 /// Bytes of a small and of a large page.
-const SMALL: usize = 4 << 10;
-const LARGE: usize = 2 << 20;
+const SMALL_PAGE: usize = 4 << 10;
+const LARGE_PAGE: usize = 2 << 20;
 
 /// Items, one after the other.
 ///
@@ -103,15 +103,15 @@ impl<T: Pod> Clone for PagedList<T> {
 
 /// Expected bytes that are unused at the end of a list of `len` items: half a page.
 pub fn expected_spare(len: usize) -> usize {
-    if len > FIRST { LARGE / 2 } else { SMALL / 2 }
+    if len > FIRST_ITEMS { LARGE_PAGE / 2 } else { SMALL_PAGE / 2 }
 }
 
 /// The mapping in which a slot lies, and its place there.
 #[inline]
 fn place(slot: usize) -> (usize, usize) {
-    match slot.checked_sub(FIRST) {
+    match slot.checked_sub(FIRST_ITEMS) {
         None => (0, slot),
-        Some(slot) => (1 + slot / FURTHER, slot % FURTHER),
+        Some(slot) => (1 + slot / FURTHER_ITEMS, slot % FURTHER_ITEMS),
     }
 }
 
@@ -123,7 +123,7 @@ fn bytes_of<T>(at: usize) -> Range<usize> {
 
 /// Bytes of a page of mapping `n`.
 fn page(n: usize) -> usize {
-    if n == 0 { SMALL } else { LARGE }
+    if n == 0 { SMALL_PAGE } else { LARGE_PAGE }
 }
 
 /// Mapping `n`, all zeros.
@@ -131,7 +131,7 @@ fn page(n: usize) -> usize {
 /// # Panics
 /// If there is no memory.
 fn mapped<T>(n: usize) -> MmapMut {
-    let items = if n == 0 { FIRST } else { FURTHER };
+    let items = if n == 0 { FIRST_ITEMS } else { FURTHER_ITEMS };
     let bytes = MmapMut::map_anon(items * size_of::<T>()).expect("memory for sums");
     // Where there are no large pages, small ones do.
     #[cfg(target_os = "linux")]
@@ -153,7 +153,7 @@ mod tests {
 
     fn stays<T: Pod + PartialEq + std::fmt::Debug>(item: impl Fn(usize) -> T) {
         let mut list = PagedList::default();
-        let count = FIRST + FURTHER + 5;
+        let count = FIRST_ITEMS + FURTHER_ITEMS + 5;
         for i in 0..count {
             let slot = list.push(item(i + 1));
             assert_eq!((slot as usize, *list.get(slot)), (i, item(i + 1)));
@@ -163,8 +163,8 @@ mod tests {
         assert!(list.slices().flatten().copied().eq((0..count).map(item)));
         assert!(list.clone().slices().eq(list.slices()) && list.len() == count);
         // The first two are whole multiples of their pages, the third has one.
-        assert_eq!(list.memory(), (FIRST + FURTHER) * size_of::<T>() + LARGE);
-        assert_eq!((FIRST * size_of::<T>()) % SMALL + (FURTHER * size_of::<T>()) % LARGE, 0);
+        assert_eq!(list.memory(), (FIRST_ITEMS + FURTHER_ITEMS) * size_of::<T>() + LARGE_PAGE);
+        assert_eq!((FIRST_ITEMS * size_of::<T>()) % SMALL_PAGE + (FURTHER_ITEMS * size_of::<T>()) % LARGE_PAGE, 0);
     }
 
     #[test]

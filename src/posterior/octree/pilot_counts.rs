@@ -14,7 +14,7 @@ use rustc_hash::FxHashMap;
 use crate::octree::{DEPTH, MaxLevels, cells_around, morton};
 
 /// Coverage, the share of touches at vertices that another ray touches, from which V is believed.
-const COVERED: f64 = 0.5;
+const MIN_COVERAGE: f64 = 0.5;
 /// Sizes of leaves: as fine as the lattice, and coarser by up to [`DEPTH`] levels.
 const SIZES: usize = DEPTH as usize + 1;
 
@@ -79,7 +79,8 @@ impl Evidence {
                 continue;
             }
             let all = weights[size] * counted.all();
-            let all = coarser.filter(|_| counted.coverage() < COVERED).map_or(all, |coarser| all.max(4.0 * coarser));
+            let all =
+                coarser.filter(|_| counted.coverage() < MIN_COVERAGE).map_or(all, |coarser| all.max(4.0 * coarser));
             rays_per_vertex[size] = (weights[size] * counted.touches / all) as f32;
             coarser = Some(all);
         }

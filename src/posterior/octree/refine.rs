@@ -10,11 +10,11 @@ use super::key::{BlockCode, VertexKey};
 use super::runs::RunsReader;
 use super::sparse::Reader;
 use crate::Result;
-use crate::octree::{Cell, Leaves, MaskSet, Octree, Wanted, cells_around};
+use crate::octree::{Cell, Leaves, MaskSet, Octree, SplitSet, cells_around};
 use crate::posterior::{Reading, Sums, VertexSums};
 
 /// Vertices whose sums are gathered together.
-pub const TOGETHER: usize = 64;
+pub const VERTICES_AT_ONCE: usize = 64;
 /// Groups of these that one thread gathers at least. It reads a page of every run first.
 const GROUPS_TOGETHER: usize = 64;
 /// Blocks of a list.
@@ -129,7 +129,7 @@ impl<S: Sums> OctreePosterior<S> {
     pub fn octree(&self, refinement: &Refinement) -> Result<Octree> {
         let finest = self.lattice.level();
         let mut wanted = match refinement.floor {
-            None => Wanted::new(finest),
+            None => SplitSet::new(finest),
             Some(floor) if refinement.is_pooled => {
                 let moved = self.moved(floor).collect::<Result<Vec<Vec<_>>>>()?.concat();
                 let beside: Vec<_> = self.moved_by_pooling(&moved).collect();
@@ -142,7 +142,7 @@ impl<S: Sums> OctreePosterior<S> {
             let limit = self.limits.leaf(origin);
             wanted.cell(if limit.level < cell.level { limit } else { cell });
         }
-        Ok(Octree::from_wanted(wanted))
+        Ok(Octree::from_split_set(wanted))
     }
 
     /// The sums at the vertices of an octree, in the order of their ids, with zeros for what is not summed.
@@ -164,8 +164,8 @@ impl<S: Sums> OctreePosterior<S> {
     }
 
     /// The leaves around vertices of these blocks.
-    fn wanted_around(&self, lists: impl ParallelIterator<Item = Result<Vec<(BlockCode, u64)>>>) -> Result<Wanted> {
-        let none = || Wanted::new(self.lattice.level());
+    fn wanted_around(&self, lists: impl ParallelIterator<Item = Result<Vec<(BlockCode, u64)>>>) -> Result<SplitSet> {
+        let none = || SplitSet::new(self.lattice.level());
         let each = lists.try_fold(none, |mut wanted, blocks| {
             for (code, vertices) in blocks? {
                 if self.limits.is_unlimited() {
@@ -205,28 +205,28 @@ impl<S: Sums> OctreePosterior<S> {
     }
 }
 
-/// `[vertices]`: what `read` makes of the number of every vertex of an octree, its lattice point, and its sums in each of
-/// these `groups` of rays.
+/// `[vertices]`: what `read` makes of the number of every vertex of an octree, its lattice point, and its sums in each
+/// of these `groups` of rays.
 pub fn read_groups<S: Sums, T: Clone + Default + Send>(
     groups: &[OctreePosterior<S>],
     octree: &Octree,
     read: impl Fn(usize, [u32; 3], &[S]) -> T + Sync,
 ) -> Result<Vec<T>> {
     let mut all = vec![T::default(); octree.vertex_count()];
-    let some = all.par_chunks_mut(TOGETHER);
-    each_vertex(groups, octree, some, |some, v, point, sums| some[v % TOGETHER] = read(v, point, sums))?;
+    let some = all.par_chunks_mut(VERTICES_AT_ONCE);
+    each_vertex(groups, octree, some, |some, v, point, sums| some[v % VERTICES_AT_ONCE] = read(v, point, sums))?;
     Ok(all)
 }
 
-/// Calls `visit` with the number of every vertex of an octree, its lattice point and its sums in each of these `groups` of
-/// rays. Each [`TOGETHER`] vertices have one of `places` to write to.
+/// Calls `visit` with the number of every vertex of an octree, its lattice point and its sums in each of these `groups`
+/// of rays. Each [`VERTICES_AT_ONCE`] vertices have one of `places` to write to.
 pub fn each_vertex<S: Sums, O: Send>(
     groups: &[OctreePosterior<S>],
     octree: &Octree,
     places: impl IndexedParallelIterator<Item = O>,
     visit: impl Fn(&mut O, usize, [u32; 3], &[S]) + Sync,
 ) -> Result<()> {
-    let points = octree.par_vertex_positions().chunks(TOGETHER).with_min_len(GROUPS_TOGETHER);
+    let points = octree.par_vertex_positions().chunks(VERTICES_AT_ONCE).with_min_len(GROUPS_TOGETHER);
     let lookups = || groups.iter().map(Lookup::new).collect::<Vec<_>>();
     let visit_some = |lookups: &mut Vec<Lookup<S>>, (n, (points, mut place)): (usize, (Vec<[u32; 3]>, O))| {
         let of_groups = lookups.iter_mut().map(|lookup| lookup.at(&points)).collect::<Result<Vec<_>>>()?;
@@ -234,7 +234,7 @@ pub fn each_vertex<S: Sums, O: Send>(
         for (i, point) in points.into_iter().enumerate() {
             sums.clear();
             sums.extend(of_groups.iter().map(|group| group[i]));
-            visit(&mut place, TOGETHER * n + i, point, &sums);
+            visit(&mut place, VERTICES_AT_ONCE * n + i, point, &sums);
         }
         Ok(())
     };

@@ -53,7 +53,8 @@ impl<S: Sums> Runs<S> {
         ranges(&[self]).into_par_iter().map(move |blocks| self.masks(&blocks, &condition))
     }
 
-    /// What `read` makes of the sums of these runs and of others, at every vertex of either, leaving out what is `None`.
+    /// What `read` makes of the sums of these runs and of others, at every vertex of either, leaving out what is
+    /// `None`.
     pub fn paired<T: Send>(&self, others: &Self, read: impl Fn(S, S) -> Option<T> + Sync) -> Result<Vec<T>> {
         let lists = ranges(&[self, others]).into_par_iter().map(|blocks| {
             let first = BlockCode::of(blocks.start).vertex(0);

@@ -58,7 +58,7 @@ pub fn spare_bytes(sums: f64, bricks: f64) -> f64 {
 }
 
 /// Number of contributions whose slots are looked up before the first of them is added.
-const AHEAD: usize = 32;
+const LOOKAHEAD: usize = 32;
 
 /// The blocks that hash to one partition.
 #[derive(Debug, Clone)]
@@ -78,8 +78,8 @@ impl<S: Sums> Default for Partition<S> {
 impl<S: Sums> Partition<S> {
     /// Adds contributions in order. Neighbours in the list are usually neighbours in space.
     fn add(&mut self, contributions: &[Contribution<S::Square>]) {
-        let mut slots = [0; AHEAD];
-        for some in contributions.chunks(AHEAD) {
+        let mut slots = [0; LOOKAHEAD];
+        for some in contributions.chunks(LOOKAHEAD) {
             let slots = &mut slots[..some.len()];
             let mut next = slots.iter_mut();
             for run in some.chunk_by(|a, b| a.key.block() == b.key.block()) {
@@ -172,8 +172,8 @@ impl<S: Sums> SparseSums<S> {
         Reader { sums: self, code: None, block: Slots::EMPTY, partition: &self.partitions[0] }
     }
 
-    /// For every block, its code and a mask of the vertices whose sums satisfy `condition`; in parallel, a list for each
-    /// partition.
+    /// For every block, its code and a mask of the vertices whose sums satisfy `condition`; in parallel, a list for
+    /// each partition.
     pub fn par_masks(
         &self,
         condition: impl Fn(&S) -> bool + Send + Sync,

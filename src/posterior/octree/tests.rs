@@ -7,7 +7,7 @@ use super::squares::{SampleJacobian, VertexJacobian};
 use super::*;
 use crate::geometry::Aabb;
 use crate::octree::{
-    Cell, Corner, Leaves, Octree, VertexId, Wanted, around, cells_around, coarseness, masters, morton, trilinear,
+    Cell, Corner, Leaves, Octree, SplitSet, VertexId, around, cells_around, coarseness, masters, morton, trilinear,
 };
 use crate::posterior::{Covariance, DensePosterior, DiagonalSums, Information, negligible_information, trace};
 use crate::render::RaySample;
@@ -157,7 +157,7 @@ proptest! {
         let touched: BTreeMap<[u32; 3], VertexSums> = posterior.touched().map(|(point, sums)| (point, *sums)).collect();
         let moved = |point: [u32; 3]| touched.get(&point).is_some_and(|sums| trace(&sums.information) > floor);
         let finest = |point: [u32; 3]| coarseness(&limits, point) == 0;
-        let mut wanted = Wanted::new(level);
+        let mut wanted = SplitSet::new(level);
         let near: BTreeSet<[u32; 3]> = touched.keys().flat_map(|&at| around(at, last).map(|(near, _)| near)).collect();
         for point in near {
             let is_beside = || around(point, last).any(|(near, _)| finest(near) && moved(near));
@@ -166,7 +166,7 @@ proptest! {
             }
         }
         let found = posterior.octree(&Refinement { floor: Some(floor), is_pooled: true, wanted: Vec::new() }).unwrap();
-        let expected = Octree::from_wanted(wanted);
+        let expected = Octree::from_split_set(wanted);
         prop_assert_eq!(found.cells(), expected.cells());
     }
 }

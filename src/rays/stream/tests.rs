@@ -1,4 +1,4 @@
-//! Rays do not depend on how many are drawn at once, nor on who asks for them.
+//! Rays do not depend on how many are drawn at once, nor on how they are evaluated.
 
 use std::sync::Mutex;
 
@@ -10,11 +10,11 @@ use crate::monitor::Silent;
 use crate::render::GradientMethod;
 use glam::Vec3;
 
-/// A scene that wants many points at once, and remembers how many it got.
+/// A scene that is evaluated at many points at once, and records how many.
 struct Wide {
     scene: VoxelGrid,
     batch: usize,
-    /// Whether calls for colours count. With its own derivatives, a field is asked for colours once for all rays
+    /// Whether calls for colours count. With its own derivatives, a field evaluates colours once for all rays
     /// of a group, and no call could be larger.
     counts_colors: bool,
     /// Points of every call from the thread of the run.
@@ -131,7 +131,7 @@ fn rays_that_ask_together_get_what_they_get_apart() {
 
 #[test]
 fn what_was_cut_short_is_not_handed_on() {
-    /// Asks to stop once the field was asked a few times.
+    /// Requests a stop after a few evaluations of the field.
     struct Impatient<'a>(&'a Wide);
     impl Monitor for Impatient<'_> {
         fn begin(&self, _: &str, _: u64) {}

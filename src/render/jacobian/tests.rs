@@ -171,7 +171,7 @@ impl RadianceField for Slab {
     }
 }
 
-/// What files of samples hold: `docs/src/formats.md` says which are missing, and that weights do not add up.
+/// What files of samples hold: `docs/src/formats.md` lists which are missing, and that weights do not add up.
 #[test]
 fn samples_without_a_jacobian_are_left_out() {
     let marcher = Marcher { step: 0.01, bounds: Slab.bounds(), occupancy: None, cutoff: 1e-6 };
@@ -216,7 +216,7 @@ fn of_bump_before_fog(field: &BumpBeforeFog, occupancy: Option<Occupancy>) -> [R
     [exact, tracer].map(|t| t.jacobians(&alone(ray, 0.5), &differentiation, &mut JacobianBuffers::default()))
 }
 
-/// The fog's 100 samples together weigh 1e-7, less than the cutoff: the field is not asked for their colours, so that
+/// The fog's 100 samples together weigh 1e-7, less than the cutoff: the field does not evaluate their colours, so that
 /// nothing is seen behind the bump. Its derivatives are then at most δ · cutoff · |∇σ|.
 #[test]
 fn colours_that_are_left_out_weigh_less_than_the_cutoff() {

@@ -9,7 +9,7 @@ use zip::ZipArchive;
 use crate::{Error, Result};
 
 /// Bytes of a checkpoint's pickle that are looked at. Weights lie in other members of the archive.
-const MOST: u64 = 4 << 20;
+const PICKLE_BYTES: u64 = 4 << 20;
 
 /// Longest text that is looked at, bytes.
 const LONGEST: usize = 256;
@@ -32,7 +32,7 @@ fn pickle(path: &Path) -> Option<Vec<u8>> {
     let mut archive = ZipArchive::new(file).ok()?;
     let name = archive.file_names().flatten().find(|name| name.ends_with("data.pkl"))?.to_string();
     let mut bytes = Vec::new();
-    archive.by_name(&name).ok()?.take(MOST).read_to_end(&mut bytes).ok()?;
+    archive.by_name(&name).ok()?.take(PICKLE_BYTES).read_to_end(&mut bytes).ok()?;
     Some(bytes)
 }
 

@@ -49,7 +49,8 @@ fn three(word: u32) -> [f64; 3] {
     [share(word >> 21, 11), share(word >> 11, 10), share(word, 11)]
 }
 
-/// A rotation x, y, z, w from its three smaller entries of 10 bits; two bits say which of w, x, y, z is the largest.
+/// A rotation x, y, z, w from its three smaller entries of 10 bits; two bits are the number of the largest of w, x, y,
+/// z.
 fn rotation(word: u32) -> Vec4 {
     let small = [20, 10, 0].map(|shift| (share(word >> shift, 10) - 0.5) * std::f64::consts::SQRT_2);
     let largest = (1.0 - small.iter().map(|v| v * v).sum::<f64>()).max(0.0).sqrt();

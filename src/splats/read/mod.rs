@@ -55,7 +55,7 @@ impl Splats {
         }
         let bytes = crate::io::read(path)?;
         match extension.as_str() {
-            // Any 32 bytes are a splat, so nothing but the name tells.
+            // Any 32 bytes are a splat, so that only the name identifies the format.
             "splat" => splat::read(path, &bytes),
             _ if bytes.starts_with(b"ply") => ply::read(path, &bytes),
             _ if spz::is_spz(&bytes) => spz::read(path, &bytes),

@@ -22,7 +22,7 @@ const PREFIX: &str = "scalar_";
 /// Colours in place of the constant coefficients, as `ns-export --ply-color-mode rgb` writes them.
 const COLORS: [&str; 3] = ["red", "green", "blue"];
 /// Names that a note lists at most.
-const LISTED: usize = 8;
+const MAX_LISTED: usize = 8;
 
 /// Reads the bytes of a PLY file, compressed or not.
 pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats> {
@@ -41,8 +41,8 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats> {
     let unknown: Vec<&str> =
         layout.extras.iter().filter(|extra| Effect::of(&extra.name).is_none()).map(|extra| &*extra.name).collect();
     if !unknown.is_empty() {
-        let more = if unknown.len() > LISTED { ", …" } else { "" };
-        let names = unknown[..unknown.len().min(LISTED)].join(", ");
+        let more = if unknown.len() > MAX_LISTED { ", …" } else { "" };
+        let names = unknown[..unknown.len().min(MAX_LISTED)].join(", ");
         notes.push(format!(
             "properties without a known meaning are kept, and do not change what is drawn: {names}{more}"
         ));

@@ -40,10 +40,10 @@ const ALWAYS: u64 = 4 << 20;
 /// Beyond that, unpacked bytes per byte of the file. Trained scenes have 1 to 4. In memory splats take up to eight
 /// times as much as unpacked.
 const LARGEST_RATIO: u64 = 32;
-/// Smallest limit of a zstd window (RFC 8878 asks decoders for 8 MB).
+/// Smallest limit of a zstd window (RFC 8878 recommends 8 MB to decoders).
 const WINDOW: u64 = 8 << 20;
 
-/// What the header says.
+/// The header.
 struct Header {
     version: u32,
     count: usize,

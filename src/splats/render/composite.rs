@@ -8,7 +8,7 @@ use super::project::FAINTEST;
 /// Largest α: light always passes.
 pub const MOST_OPAQUE: f64 = 0.99;
 /// No splat is drawn behind which less light would be left.
-pub const DARK: f64 = 1e-4;
+pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 
 /// A splat that an image point shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,7 +39,7 @@ pub struct Hits {
     pub list: Vec<Hit>,
     /// T_end, the light that passes all of them.
     pub passed: f64,
-    /// `[list]`: G, if it was asked for.
+    /// `[list]`: G, if it was requested.
     pub(super) jacobians: Vec<[f32; 9]>,
 }
 
@@ -60,7 +60,7 @@ impl SplatView<'_> {
                 return true;
             }
             let left = transmittance * (1.0 - alpha);
-            if left < DARK {
+            if left < MIN_TRANSMITTANCE {
                 return false;
             }
             let is_limited = free >= MOST_OPAQUE;

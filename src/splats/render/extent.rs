@@ -15,18 +15,18 @@ use crate::splats::Splats;
 const CAMERAS: usize = 16;
 const PIXELS: f64 = 4096.0;
 /// Parts of what is seen that lie beyond either side of the box along an axis, before it grows.
-const BEYOND: f64 = 0.005;
+const OUTLIER_SHARE: f64 = 0.005;
 /// Parts of an edge by which the box grows at either side.
 const MARGIN: f64 = 0.1;
 /// Parts of what is seen that lie beyond either side of the core along an axis.
 const BEYOND_CORE: f64 = 0.1;
 /// A scene counts as unbounded if its box is more than this many times as long as its core; for an object or a room the
 /// two are similar.
-const FAR: f64 = 4.0;
+const UNBOUNDED_RATIO: f64 = 4.0;
 /// A gap is where the distance from the cameras grows by this factor, and hardly anything is seen.
 const GAP: f64 = 2.0;
 /// Least part of what is seen that lies in front of a gap, and behind it. Half of it may lie between.
-const LEAST: f64 = 0.02;
+const MIN_GAP_SHARE: f64 = 0.02;
 /// Parts of what is seen that are nearer than the nearest that counts, and times its distance that are nearby.
 const NEAREST: f64 = 0.05;
 const NEARBY: f64 = 3.0;
@@ -56,7 +56,7 @@ impl Splats {
     /// The box of nearly all centres: the 99 % of each axis that lie in the middle, and a fifth more.
     #[must_use]
     pub fn main_box(&self) -> Aabb {
-        boxed(&self.means().iter().map(|x| (x.as_dvec3(), 1.0)).collect::<Vec<_>>(), BEYOND)
+        boxed(&self.means().iter().map(|x| (x.as_dvec3(), 1.0)).collect::<Vec<_>>(), OUTLIER_SHARE)
             .unwrap_or_else(|| self.bounds())
     }
 
@@ -138,20 +138,21 @@ pub fn seen_domain(renderer: &SplatRenderer, cameras: &[Camera], monitor: &dyn M
     if seen.points.is_empty() {
         return box_alone(splats.main_box());
     }
-    let Some(all) = boxed(&seen.points, BEYOND) else { return box_alone(splats.bounds()) };
+    let Some(all) = boxed(&seen.points, OUTLIER_SHARE) else { return box_alone(splats.bounds()) };
     let stand_around = |count: &usize| {
-        boxed(&seen.points[..*count], BEYOND).is_some_and(|near| {
+        boxed(&seen.points[..*count], OUTLIER_SHARE).is_some_and(|near| {
             let outside = cameras.iter().filter(|camera| !near.contains(camera.position.as_vec3())).count();
-            2 * outside >= cameras.len() && FAR * near.longest_edge() < all.longest_edge()
+            2 * outside >= cameras.len() && UNBOUNDED_RATIO * near.longest_edge() < all.longest_edge()
         })
     };
     let object = seen.gaps().into_iter().find(stand_around).unwrap_or(seen.points.len());
     let behind = 1.0 - seen.sums[object] / seen.total();
     let points = &seen.points[..object];
-    let bounds = boxed(points, BEYOND).unwrap_or(all);
+    let bounds = boxed(points, OUTLIER_SHARE).unwrap_or(all);
     let nearest = &points[..seen.nearest().min(object)];
-    let is_far =
-        |points| boxed(points, BEYOND_CORE).is_some_and(|core| bounds.longest_edge() > FAR * core.longest_edge());
+    let is_far = |points| {
+        boxed(points, BEYOND_CORE).is_some_and(|core| bounds.longest_edge() > UNBOUNDED_RATIO * core.longest_edge())
+    };
     if !is_far(points) && !is_far(nearest) {
         return Ok(SeenSpace { domain: Domain::Box(bounds), behind });
     }
@@ -213,7 +214,7 @@ impl Seen {
 
     /// How many splats lie in front of each gap, the farthest gap first.
     fn gaps(&self) -> Vec<usize> {
-        let least = LEAST * self.total();
+        let least = MIN_GAP_SHARE * self.total();
         let mut gaps = Vec::new();
         let mut behind = 0;
         for count in 1..self.points.len() {

@@ -12,7 +12,7 @@ use crate::render::{
     VisibleSegment, WeightedRays, WeightedSamples, check_size,
 };
 
-/// Rows of pixels that are composited together, so that probes are asked about many points at once: those of one tile.
+/// Rows of pixels that are composited together, so that probes are evaluated at many points at once: those of one tile.
 const ROWS: u32 = super::tiles::TILE;
 
 /// Image points that a thread lists together.

@@ -31,8 +31,8 @@ pub(crate) use project::{Footprint, Projector};
 pub use tiles::tile_of;
 #[doc(hidden)]
 pub use {
-    composite::{DARK, MOST_OPAQUE},
-    project::{BEYOND, FAINTEST, NEAR},
+    composite::{MIN_TRANSMITTANCE, MOST_OPAQUE},
+    project::{FAINTEST, FRUSTUM_MARGIN, NEAR},
 };
 
 use glam::{DMat3, DVec3, Vec3};

@@ -16,7 +16,7 @@ use crate::splats::{RenderMode, Splats};
 /// Splats nearer than this are not drawn, scene units along the view axis: as in the original code.
 pub const NEAR: f64 = 0.2;
 /// Half angles to which the Jacobian's x/z and y/z are limited.
-pub const BEYOND: f64 = 1.3;
+pub const FRUSTUM_MARGIN: f64 = 1.3;
 /// Least opacity that is drawn.
 pub const FAINTEST: f64 = 1.0 / 255.0;
 
@@ -122,7 +122,7 @@ impl Projector {
         let [right, up, back] = [camera.axes.x_axis, camera.axes.y_axis, camera.axes.z_axis];
         let [focal, center] = [camera.focal, camera.center].map(DVec2::from);
         let resolution = DVec2::new(f64::from(camera.resolution[0]), f64::from(camera.resolution[1]));
-        let margin = (BEYOND - 1.0) * 0.5 * resolution / focal;
+        let margin = (FRUSTUM_MARGIN - 1.0) * 0.5 * resolution / focal;
         Self {
             eye: camera.position,
             rotation: DMat3::from_cols(right, -up, -back).transpose(),

@@ -1,5 +1,5 @@
-//! The same images, slowly: every pixel asks every splat, in f64, by the formulas as they are written in the papers. No
-//! code is shared with the fast version.
+//! The same images, slowly: every pixel evaluates every splat, in f64, by the formulas as they are written in the
+//! papers. No code is shared with the fast version.
 
 use crate::geometry::Camera;
 use crate::splats::{RenderMode, Splats};

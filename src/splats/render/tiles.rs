@@ -9,18 +9,18 @@ use super::project::Footprint;
 /// Side of a tile, pixels. Tiles of 16 px, the original's, have twice as many candidates per pixel.
 pub const TILE: u32 = 8;
 /// Most candidates of an image, 235 MB. Where splats that fill the image would make more of them, tiles are larger.
-const MOST: u64 = 1 << 23;
+const MAX_CANDIDATES: u64 = 1 << 23;
 /// Longest side of a tile, pixels.
 const LARGEST: u32 = 256;
 /// Candidates that are tested together.
-pub const TOGETHER: usize = 16;
+pub const CANDIDATES_AT_ONCE: usize = 16;
 
 /// f32 rounds the terms of q by this part at most, with all that enters them.
 const ROUNDING: f64 = 1e-6;
 /// Least slack of the test, for q near 0.
 const SLACK: f64 = 1e-4;
 
-/// Footprints in f32, one list after the other; each list is padded to a multiple of [`TOGETHER`].
+/// Footprints in f32, one list after the other; each list is padded to a multiple of [`CANDIDATES_AT_ONCE`].
 ///
 /// f32 only sorts out: what passes is tested again in f64.
 #[derive(Debug, Default)]
@@ -92,7 +92,7 @@ impl Tiles {
             footprints.par_iter().with_min_len(4096).map(|footprint| of(footprint) as u64).sum()
         };
         let mut side = TILE;
-        while side < LARGEST && candidates(side) > MOST {
+        while side < LARGEST && candidates(side) > MAX_CANDIDATES {
             side *= 2;
         }
         let [columns, rows] = resolution.map(|pixels| pixels.div_ceil(side));
@@ -114,7 +114,7 @@ impl Tiles {
         let middle = [column, row].map(|tile| (f64::from(tile) + 0.5) * f64::from(self.side));
         let at = [(at[0] - middle[0]) as f32, (at[1] - middle[1]) as f32];
         let list = starts[column as usize] as usize..starts[column as usize + 1] as usize;
-        for first in list.step_by(TOGETHER) {
+        for first in list.step_by(CANDIDATES_AT_ONCE) {
             let mut hit =
                 passing(at, [&all.x, &all.y, &all.xx, &all.xy, &all.yy, &all.reach].map(|list| some(list, first)));
             while hit != 0 {
@@ -129,20 +129,20 @@ impl Tiles {
 }
 
 /// Those that are tested together, from the first on.
-fn some(list: &[f32], first: usize) -> &[f32; TOGETHER] {
-    list[first..first + TOGETHER].try_into().expect("lists are padded")
+fn some(list: &[f32], first: usize) -> &[f32; CANDIDATES_AT_ONCE] {
+    list[first..first + CANDIDATES_AT_ONCE].try_into().expect("lists are padded")
 }
 
 /// A bit for each candidate that may be drawn at a point.
 #[multiversion(targets("x86_64+avx2+fma", "x86_64+sse4.1"))]
-fn passing(at: [f32; 2], [x, y, xx, xy, yy, reach]: [&[f32; TOGETHER]; 6]) -> u32 {
-    let mut beyond = [0.0_f32; TOGETHER];
-    for k in 0..TOGETHER {
+fn passing(at: [f32; 2], [x, y, xx, xy, yy, reach]: [&[f32; CANDIDATES_AT_ONCE]; 6]) -> u32 {
+    let mut beyond = [0.0_f32; CANDIDATES_AT_ONCE];
+    for k in 0..CANDIDATES_AT_ONCE {
         let (dx, dy) = (x[k] - at[0], y[k] - at[1]);
         beyond[k] = (xx[k] * dx + xy[k] * dy) * dx + yy[k] * dy * dy - reach[k];
     }
     // Sign bits: negative is within reach.
-    (0..TOGETHER).fold(0, |hit, k| hit | (beyond[k].to_bits() >> 31) << k)
+    (0..CANDIDATES_AT_ONCE).fold(0, |hit, k| hit | (beyond[k].to_bits() >> 31) << k)
 }
 
 impl Row {
@@ -155,7 +155,7 @@ impl Row {
         }
         let mut starts = vec![0];
         for count in counts {
-            starts.push(starts[starts.len() - 1] + count.next_multiple_of(TOGETHER as u32));
+            starts.push(starts[starts.len() - 1] + count.next_multiple_of(CANDIDATES_AT_ONCE as u32));
         }
         let len = starts[columns as usize] as usize;
         let zeros = || vec![0.0; len];

@@ -1,9 +1,9 @@
-//! More splats where images ask for them, fewer where they are transparent (adaptive density control of Kerbl et al.
+//! More splats where the images need them, fewer where they are transparent (adaptive density control of Kerbl et al.
 //! 2023, §5.2, with a fixed rate of growth).
 //!
-//! A splat is asked for more by the mean length of ∂L/∂m over the steps that showed it. Every interval the splats with
-//! the longest become two each: the longest axis of both shrinks, and they move apart along it. Splats that have become
-//! nearly transparent go.
+//! A splat's *demand* is the mean length of ∂L/∂m over the steps that showed it. Every interval the splats of the
+//! largest demand become two each: the longest axis of both shrinks, and they move apart along it. Splats that have
+//! become nearly transparent go.
 
 use glam::Vec3;
 use rand::rngs::ChaCha8Rng;
@@ -22,7 +22,7 @@ const TRANSPARENT: f32 = 0.01;
 /// Change of the logarithms of the deviations of a splat that becomes two.
 const SHRINK: f32 = -0.35;
 /// Deviations by which each of the two moves.
-const APART: f32 = 0.7;
+const SPLIT_DISTANCE: f32 = 0.7;
 
 /// How much images ask of a splat: the sum of the lengths of ∂L/∂m, and the number of steps that showed it.
 pub type Asked = [f32; 2];
@@ -36,7 +36,7 @@ pub struct Crowd<'a> {
 }
 
 impl Crowd<'_> {
-    /// Removes transparent splats, if any others are there, and splits those that are asked for most, up to `most`
+    /// Removes transparent splats, if any others are there, and splits those of the largest demand, up to `most`
     /// splats. Begins to count anew.
     pub fn change(self, most: usize, seed: u64, step: u64) {
         let is_kept: Vec<bool> = self.rows.iter().map(|row| opacity(row) >= TRANSPARENT).collect();
@@ -73,7 +73,7 @@ fn split(row: &mut Row, rng: &mut ChaCha8Rng) -> Row {
     // About normal: the sum of three uniform numbers with variance 1.
     let mut normal = || (0..3).map(|_| rng.random_range(-1.0..1.0_f32)).sum::<f32>();
     let along = Vec3::from_array(std::array::from_fn(|_| normal()));
-    let away = APART * (rotation(row) * (along * three(row, SCALE).exp()));
+    let away = SPLIT_DISTANCE * (rotation(row) * (along * three(row, SCALE).exp()));
     let mean = three(row, MEAN);
     (SCALE..LOGIT).take(3).for_each(|k| row[k] += SHRINK);
     let mut twin = *row;
@@ -90,7 +90,7 @@ mod tests {
     /// from one, whose parameters are new.
     #[test]
     fn moments_follow_their_splats_and_begin_anew_where_one_becomes_two() {
-        // The second is transparent; the fourth is asked for most.
+        // The second is transparent; the fourth has the largest demand.
         let logits = [2.0, -9.0, 1.0, 0.5, 3.0];
         let row = |(k, logit): (f32, f32)| {
             let mut row = [0.0; WIDTH];

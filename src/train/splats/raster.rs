@@ -16,7 +16,7 @@ use crate::splats;
 const SIDE: usize = 8;
 const FAINTEST: f32 = splats::FAINTEST as f32;
 const MOST_OPAQUE: f32 = splats::MOST_OPAQUE as f32;
-const DARK: f32 = splats::DARK as f32;
+const MIN_TRANSMITTANCE: f32 = splats::MIN_TRANSMITTANCE as f32;
 
 /// Eight pixels of a row.
 type Lanes = [f32; SIDE];
@@ -172,7 +172,7 @@ fn drawn(free: &Lanes, left: &Lanes, live: &mut Lanes) -> Lanes {
     for l in 0..SIDE {
         let alpha = free[l].min(MOST_OPAQUE);
         let is_drawn = if alpha >= FAINTEST { live[l] } else { 0.0 };
-        let ends = if left[l] * (1.0 - alpha) < DARK { is_drawn } else { 0.0 };
+        let ends = if left[l] * (1.0 - alpha) < MIN_TRANSMITTANCE { is_drawn } else { 0.0 };
         live[l] -= ends;
         out[l] = alpha * (is_drawn - ends);
     }

@@ -1,4 +1,4 @@
-//! Where splats begin: near the surface of the visual hull, if images say where the object is; else at the points of a
+//! Where splats begin: near the surface of the visual hull, if images have masks of the object; else at the points of a
 //! reconstruction, if there is one; else anywhere in the box.
 //!
 //! The hull (Laurentini 1994) is what every camera shows as opaque. It is found on a lattice of cells, coarsely in the
@@ -28,8 +28,8 @@ const OBJECT: f64 = 0.5;
 /// Opacity at the start, as in the original code.
 const OPACITY: f32 = 0.1;
 /// Places tried for each point that a camera has to see.
-const TRIES: usize = 20;
-/// Fewest points of a reconstruction that say where a scene is.
+const TRIES_PER_POINT: usize = 20;
+/// Fewest points of a reconstruction that locate a scene.
 const FEWEST_POINTS: usize = 100;
 /// Points around a point whose distances make its splat's size, as in the original code.
 const NEIGHBORS: usize = 3;
@@ -51,7 +51,7 @@ pub struct Start {
 /// Where the first splats lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SplatOrigin {
-    /// Near the surface of the visual hull: images say where the object is.
+    /// Near the surface of the visual hull: images have masks of the object.
     Hull,
     /// At the points of a reconstruction.
     Points,
@@ -238,7 +238,7 @@ fn points_in(shots: &[Shot], bounds: Aabb, count: usize, rng: &mut ChaCha8Rng) -
     let mut points = Vec::with_capacity(count);
     for _ in 0..count {
         let mut point = bounds.min();
-        for _ in 0..TRIES {
+        for _ in 0..TRIES_PER_POINT {
             point = bounds.min() + bounds.size() * within(rng);
             if shots.iter().any(|shot| pixel(shot, point).is_some()) {
                 break;

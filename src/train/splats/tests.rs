@@ -252,11 +252,11 @@ fn opaque_images_begin_at_the_points_of_a_reconstruction() {
         let color = constant_of(Vec3::from(point.color.map(f32::from)) / 255.0).to_array();
         assert!(row[SH..SH + 3].iter().zip(color).all(|(found, v)| (found - v).abs() < 1e-5), "{i}");
     }
-    // Some of many points, the same for any order of threads; and no start at points that say too little.
+    // Some of many points, the same for any order of threads; and no start at too few points.
     let [a, b] = [with(&points, 240).unwrap(), with(&points, 240).unwrap()];
     assert!(a.len() == 60 && bits(&a) == bits(&b));
     assert_eq!(with(&points[..99], 1000).unwrap().origin(), SplatOrigin::Box);
-    // Points that coincide say no more than one; two that do among others still have a size.
+    // Points that coincide count as one; two that do among others still have a size.
     let twins = vec![points[0]; 100];
     assert_eq!(with(&twins, 1000).unwrap().origin(), SplatOrigin::Box);
     let pair = [&points[..], &[points[0]; 4]].concat();

@@ -31,7 +31,7 @@ const EPSILON: f32 = 1e-15;
 /// Part of a run after which the next degree of the spherical harmonics is trained.
 const DEGREE: f64 = 0.1;
 /// One splat in so many of the most is there at the start.
-const FIRST: usize = 4;
+const MOST_PER_START: usize = 4;
 /// What is left of the rates of centres and of deviations at the end.
 const FINAL_MEAN: f32 = 0.01;
 const FINAL_SCALE: f32 = 0.2;
@@ -68,7 +68,7 @@ impl<'a> SplatTrainer<'a> {
         if settings.most == 0 {
             return Err(Error::setting("most splats", "at least one", "0"));
         }
-        let first = settings.most.div_ceil(FIRST);
+        let first = settings.most.div_ceil(MOST_PER_START);
         let Start { rows, extent, origin } = Start::new(shots, bounds, points, first, settings.seed);
         let zeros = vec![[0.0; WIDTH]; rows.len()];
         let asked = vec![[0.0; 2]; rows.len()];
@@ -150,7 +150,7 @@ impl<'a> SplatTrainer<'a> {
         }
     }
 
-    /// Counts how much the image asks for more splats, in half widths and heights of it.
+    /// Adds the gradients of splats' centres in the image, in half widths and heights of it.
     fn note_places(&mut self, picture: &Picture, gradients: &[(Row, Vec2)], resolution: [u32; 2]) {
         let half = 0.5 * Vec2::new(resolution[0] as f32, resolution[1] as f32);
         for (ellipse, (_, by_mean)) in picture.ellipses.iter().zip(gradients) {
@@ -181,7 +181,7 @@ impl<'a> SplatTrainer<'a> {
         });
     }
 
-    /// What to say of a run that has diverged.
+    /// The error of a run that has diverged.
     fn diverged(&self, what: &str) -> Error {
         let expected = "rates at which loss and parameters stay finite, such as the default";
         let found = format!("{:?}, with which {what} at step {}", self.settings.rates, self.steps);

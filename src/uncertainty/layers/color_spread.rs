@@ -131,7 +131,7 @@ impl OfImages {
     }
 
     /// Σ W |c̄ − Σ W c̄ / Σ W|² / 3, and the weight by which to divide it: then its mean over images of independent
-    /// colours is their variance. `None` for a single image, which says nothing.
+    /// colours is their variance. `None` for a single image, which has no variance.
     fn spread(&self) -> Option<[f64; 2]> {
         let [sum, squares] = self.weights;
         let about_mean = self.squares - self.colors.length_squared() / (3.0 * sum);

@@ -135,7 +135,7 @@ macro_rules! layers {
                 parts.into_iter().flatten().filter(|(_, bytes)| *bytes > 0).collect()
             }
 
-            /// The name of every layer and what `info` says of it; an error of what to say without it.
+            /// The name of every layer and its line in `info`; the line without it as an error.
             pub fn info(&self) -> Vec<(&'static str, std::result::Result<String, &'static str>)> {
                 vec![$((<$layer>::NAME, self.$name.as_ref().map(Layer::info).ok_or(<$layer>::WITHOUT))),*]
             }

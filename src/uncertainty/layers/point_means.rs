@@ -17,7 +17,7 @@ pub struct PointMeans {
     means: Vec<f32>,
 }
 
-/// What the header of a field's file says of them.
+/// Their entry in the header of a field's file.
 #[derive(Debug, Clone, Copy, serde::Serialize, serde::Deserialize)]
 pub struct Head {
     level: u8,

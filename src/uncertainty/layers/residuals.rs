@@ -98,7 +98,7 @@ impl Residuals {
     }
 }
 
-/// What the header of a field's file says of its residuals.
+/// The residuals' entry in the header of a field's file.
 #[derive(Debug, Clone, Copy, serde::Serialize, serde::Deserialize)]
 struct Head {
     #[serde(flatten)]

@@ -27,8 +27,8 @@ use crate::{Error, Result};
 /// are no longer available.
 ///
 /// Memory does not grow with the number of parts or with their sums: those of files are read vertex by vertex, and what
-/// 256 MB have no room for goes to disk, as in a run under a [budget](crate::estimate::GridSettings::memory). Beside it,
-/// there are the octree of one part, and the joined field.
+/// 256 MB have no room for goes to disk, as in a run under a [budget](crate::estimate::GridSettings::memory). Beside
+/// it, there are the octree of one part, and the joined field.
 #[derive(Debug, Clone)]
 #[must_use]
 pub struct Merging {

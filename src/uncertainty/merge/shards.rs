@@ -12,7 +12,7 @@ use crate::uncertainty::{Finish, RunRecord, Support, UncertaintyField};
 use crate::{Error, Result};
 
 /// Vertices that are added before the room is looked at.
-const TOGETHER: u64 = 1 << 16;
+const VERTICES_PER_CHECK: u64 = 1 << 16;
 
 /// What is joined, and how.
 pub struct Joining<'a> {
@@ -110,7 +110,7 @@ impl<'a> Joining<'a> {
                 to.add_sums(point, &sums);
             }
             count += 1;
-            if count.is_multiple_of(TOGETHER) { overflow.spill_if_full(to).map(|_| ()) } else { Ok(()) }
+            if count.is_multiple_of(VERTICES_PER_CHECK) { overflow.spill_if_full(to).map(|_| ()) } else { Ok(()) }
         })?;
         if has_sums {
             return overflow.spill_if_full(to).map(|_| ());

@@ -188,7 +188,7 @@ function unpacked({ count, codes, prior, knowsUnseen }, planes) {
     covariances.set(covariance(rotation(data.getUint32(at + 15, true), codes.halfTurn), scales), 6 * i);
     opacities[i] = bytes[at + 22] / 255;
     log10U[i] = codes.low + ((prior - codes.low) * data.getUint16(at + 23, true)) / codes.prior;
-    // Where the field does not know what no ray reached, it is what has the prior's U.
+    // Where the field does not store what no ray reached, it is what has the prior's U.
     unseen[i] = knowsUnseen ? bytes[at + 25] : Number(log10U[i] >= prior + Math.log10(0.999));
   }
   return { means, covariances, colors, opacities, log10U, unseen };

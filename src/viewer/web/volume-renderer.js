@@ -58,7 +58,7 @@ class VolumeRenderer extends Renderer {
     // The prior itself is rounded: at the upper end nothing is removed.
     set('threshold', shown.threshold >= prior ? 2 : volume.shareOf(shown.threshold));
     gl.uniform1i(place('hidesUnseen'), removesUnseen(shown, prior) ? 1 : 0);
-    // Where the field does not know what no ray reached, it is what has the prior's U.
+    // Where the field does not store what no ray reached, it is what has the prior's U.
     set('unseenFrom', knowsUnseen ? 1.25 : 0.999);
     set2('codes', [codes.low, prior]);
     ['pages', 'matter', 'knowledge'].forEach((name, unit) => gl.uniform1i(place(name), unit));

@@ -6,7 +6,7 @@ use glam::{Vec3, Vec4};
 
 use crate::{Error, Result};
 
-/// The axes of files that say nothing: right, up, back.
+/// The axes of files that state none: right, up, back.
 pub(super) const STORED: u32 = 4;
 /// Right, down, front.
 const PLY: u32 = 6;
