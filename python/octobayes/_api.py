@@ -468,14 +468,26 @@ def compare(
     return json.loads(found)
 
 
-def merge(fields: Sequence[Uncertainty | str], *, error_bars: bool = False, keep_sums: bool = False) -> Uncertainty:
+def merge(
+    fields: Sequence[Uncertainty | str],
+    *,
+    error_bars: bool = False,
+    keep_sums: bool = False,
+    scratch: str | os.PathLike[str] | None = None,
+) -> Uncertainty:
     """Joins fields of one box, level and record from different rays: shards of a run, or other seeds.
 
-    error_bars: also the error of log10 U, from the fields' differences (of different seeds). The fields must keep their
+    error_bars: also the error of log10 U, from the fields' differences (of different seeds, at most 64). scratch: folder
+    for sums beyond 256 MB, by default the system's for temporary files, which may be memory. The fields must keep their
     sums (shards do). Raises ValueError if they do not belong together. Warns of missing shards.
     """
     given = [_field(f"fields[{i}]", field)._field for i, field in enumerate(fields)]
-    field, texts = _octobayes.merge(given, flag("error_bars", error_bars), flag("keep_sums", keep_sums))
+    field, texts = _octobayes.merge(
+        given,
+        flag("error_bars", error_bars),
+        flag("keep_sums", keep_sums),
+        None if scratch is None else as_path("scratch", scratch),
+    )
     _warn(texts)
     return Uncertainty(field)
 

@@ -148,7 +148,9 @@ def load(path: str | os.PathLike[str], options: dict[str, Any], rays: int | None
 def compare(a: Uncertainty, b: Uncertainty, points: int, seed: int) -> tuple[str, list[Said]]:
     """JSON."""
 
-def merge(fields: Sequence[Uncertainty], error_bars: bool, keep_sums: bool) -> tuple[Uncertainty, list[Said]]: ...
+def merge(
+    fields: Sequence[Uncertainty], error_bars: bool, keep_sums: bool, scratch: str | None = None
+) -> tuple[Uncertainty, list[Said]]: ...
 def accumulate(samples: Any, options: dict[str, Any], progress: Progress | None) -> tuple[Uncertainty, list[Said]]:
     """samples: a path, or positions [N, 3], jacobians [N, 9], ray uint64 [N], weight [N], rays in all."""
 

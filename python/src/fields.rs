@@ -36,16 +36,19 @@ pub fn compare(
 
 /// Joins fields of one box from different rays. Returns the field with its warnings.
 #[pyfunction]
+#[pyo3(signature = (fields, error_bars, keep_sums, scratch=None))]
 pub fn merge(
     py: Python<'_>,
     fields: Vec<Bound<'_, Uncertainty>>,
     error_bars: bool,
     keep_sums: bool,
+    scratch: Option<PathBuf>,
 ) -> PyResult<(Uncertainty, Vec<Said>)> {
     let parts: Vec<_> = fields.iter().map(|field| field.get().field.clone()).collect();
     let joined = without_python(py, || {
         let parts: Vec<&UncertaintyField> = parts.iter().map(|part| &**part).collect();
-        Merging::default().keep_sums(keep_sums).error_bars(error_bars).join(&parts)
+        let merging = Merging::default().keep_sums(keep_sums).error_bars(error_bars);
+        scratch.into_iter().fold(merging, Merging::scratch).join(&parts)
     })?;
     let field = joined.or_raise()?;
     let missing = MissingShards::beside(field.ray_sets());

@@ -225,6 +225,22 @@ impl<'a> Estimation<'a> {
         }
     }
 
+    /// Number of sets of sums that are in memory at once, if none leaves it.
+    pub(super) fn sets_of_sums(&self) -> u64 {
+        match self.goal {
+            Goal::Shard { .. } => 1,
+            Goal::Groups(groups) => u64::from(groups) + 1,
+            // Error bars of pooled halves are made of a copy of both, and of their sum.
+            Goal::MeanError(_) => {
+                if self.grid.pooling.is_on() {
+                    5
+                } else {
+                    2
+                }
+            }
+        }
+    }
+
     /// Identifies the model in a checkpoint: by its content if that is known, not by its path.
     pub(super) fn key_source(&self) -> String {
         self.checksum.map_or_else(|| self.source.clone(), |checksum| format!("model {checksum:08x}"))

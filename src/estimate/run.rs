@@ -95,7 +95,10 @@ impl<'a> Run<'a> {
         let GridSettings { grid, memory: Some(budget), .. } = self.settings.grid else { return Ok(()) };
         let (model, taken) = (self.stream.source.memory(), resident().unwrap_or(0));
         let least = match grid {
-            GridKind::Dense => taken.saturating_add(DensePosterior::required_memory(&self.lattice)),
+            GridKind::Dense => {
+                let sums = DensePosterior::required_memory(&self.lattice).saturating_mul(self.settings.sets_of_sums());
+                taken.saturating_add(sums)
+            }
             GridKind::Octree => least_budget(taken, model),
         };
         if budget >= least {
@@ -282,7 +285,7 @@ impl<'a> Run<'a> {
         let Estimation { grid, domain, rays, monitor, .. } = &self.settings;
         let start = Instant::now();
         // Each half of the rays has half of the room.
-        let overflow = self.room.and_then(|room| self.overflow_of(room / 2, None));
+        let overflow = self.overflow(None).map(Overflow::halved);
         let half = || Ok(Builder::<P>::new(*grid, *domain, None)?.with_overflow(overflow.clone()));
         let (halves, error) = mean_error::draw([half()?, half()?], &self.stream, decades, rays.rays, *monitor)?;
         let progress = halves.iter().map(|half| half.1).sum();
@@ -346,13 +349,9 @@ impl<'a> Run<'a> {
 
     /// Where sums go that the budget has no room for, if there is one. The run's state is kept in `file`.
     fn overflow(&self, file: Option<&Path>) -> Option<Overflow> {
-        self.room.and_then(|room| self.overflow_of(room, file))
-    }
-
-    fn overflow_of(&self, room: usize, file: Option<&Path>) -> Option<Overflow> {
         // A dense grid is as large from its first ray on.
-        let leaves = self.settings.grid.grid == GridKind::Octree;
-        leaves.then(|| Overflow::new(room, &self.settings.scratch, file))
+        let room = self.room.filter(|_| self.settings.grid.grid == GridKind::Octree);
+        room.map(|room| Overflow::new(room, &self.settings.scratch, file))
     }
 
     /// The checkpoint's files, one for each group; `[None]` without a checkpoint.

@@ -61,6 +61,8 @@ pub fn portions(batches: &[RaySamples]) -> impl Iterator<Item = &[RaySamples]> {
 pub struct Overflow {
     /// Bytes that sums may take in memory.
     room: usize,
+    /// Runs before they are merged into one.
+    most_runs: usize,
     place: Place,
 }
 
@@ -77,7 +79,12 @@ impl Overflow {
     /// Of sums that may take `room` bytes. With a checkpoint, runs lie beside it, otherwise in `folder`.
     pub fn new(room: usize, folder: &Path, checkpoint: Option<&Path>) -> Self {
         let beside = checkpoint.map(|file| Place::Beside(file.into()));
-        Self { room, place: beside.unwrap_or_else(|| Place::Temporary(folder.into())) }
+        Self { room, most_runs: MOST_RUNS, place: beside.unwrap_or_else(|| Place::Temporary(folder.into())) }
+    }
+
+    /// Of one of two sets of sums that are in memory at once, and whose runs are read side by side.
+    pub fn halved(self) -> Self {
+        Self { room: self.room / 2, most_runs: self.most_runs / 2, ..self }
     }
 
     /// Refuses, before the first ray, a folder in which no file can be made.
@@ -117,7 +124,7 @@ impl Overflow {
         if posterior.memory() == 0 {
             return Ok(());
         }
-        if posterior.runs().len() == MOST_RUNS {
+        if posterior.runs().len() >= self.most_runs {
             self.merge(posterior)?;
         }
         let number = next_number(posterior);

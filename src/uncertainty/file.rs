@@ -143,7 +143,7 @@ impl Source {
     }
 
     /// Calls `visit` with every entry of the next section of this name, and its number, and checks the section.
-    pub fn each<T: Item>(&mut self, name: &str, mut visit: impl FnMut(usize, T) -> Result<()>) -> Result<usize> {
+    pub fn each<T: Item>(&mut self, name: &str, mut visit: impl FnMut(usize, T) -> Result<()>) -> Result<()> {
         let mut count = 0;
         self.file.pieces::<T>(name, |bytes, _| {
             for item in bytes.chunks_exact(T::SIZE).map(T::take) {
@@ -151,8 +151,7 @@ impl Source {
                 count += 1;
             }
             Ok(())
-        })?;
-        Ok(count)
+        })
     }
 
     /// Refuses a section with another number of entries than vertices.
@@ -204,17 +203,18 @@ impl UncertaintyField {
         container::write(path, FORMAT, &header, &sections)
     }
 
-    /// Reads and checks the header of a file. What follows is read by [`UncertaintyField::read`] only.
+    /// Reads and checks the header of a file.
     ///
     /// # Errors
     /// If the file is missing, or is not complete, or not a field of this version.
     pub(super) fn read_head(path: &Path) -> Result<Head> {
         let mut file = Source::open(path)?;
-        let has_error_bars = file.heads.contains_key(ErrorBars::NAME);
+        let [has_error_bars, has_sums] =
+            [ErrorBars::NAME, <Vec<VertexSums>>::NAME].map(|layer| file.heads.contains_key(layer));
         let ray_sets = file.layer()?.unwrap_or_default();
         let Source { record, lattice, is_dense, .. } = file;
         let name = path.display().to_string();
-        Ok(Head { name, record, lattice, ray_sets, is_dense, has_error_bars })
+        Ok(Head { name, record, lattice, ray_sets, is_dense, has_error_bars, has_sums })
     }
 
     /// Reads what a merge needs of a file beside its sums: where its vertices are, and its layers.
@@ -224,25 +224,23 @@ impl UncertaintyField {
     pub(super) fn read_without_sums(path: &Path) -> Result<(Support, Layers)> {
         let mut file = Source::open(path)?;
         let support = file.support()?;
+        // So that no grid is made that is larger than the file.
+        file.expect_one_per_vertex("deviations", file.bytes("deviations") as usize / f32::SIZE)?;
         file.heads.remove(<Vec<VertexSums>>::NAME);
         Ok((support, Layers::read(&mut file)?))
     }
 
-    /// Calls `visit` with the sums at each of so many `vertices`, in their order. Returns whether the file has sums.
+    /// Calls `visit` with the sums at each of so many `vertices`, in their order.
     ///
     /// # Errors
     /// If the file is missing, or is not complete, or not a field of this version, or what `visit` returns.
-    pub(super) fn each_sums(path: &Path, vertices: u64, visit: impl FnMut(VertexSums) -> Result<()>) -> Result<bool> {
+    pub(super) fn each_sums(path: &Path, vertices: u64, visit: impl FnMut(VertexSums) -> Result<()>) -> Result<()> {
         let mut file = Source::open(path)?;
         file.vertices = vertices;
         // What was altered anywhere is no part of a run.
         file.file.pieces::<f32>("deviations", |_, _| Ok(()))?;
         file.file.pieces::<u8>("rays", |_, _| Ok(()))?;
-        let has_sums = file.heads.contains_key(<Vec<VertexSums>>::NAME);
-        if has_sums {
-            each_sums(&mut file, visit)?;
-        }
-        Ok(has_sums)
+        each_sums(&mut file, visit)
     }
 
     /// Whether a file holds error bars, by its header.

@@ -197,7 +197,7 @@ pub struct Args {
     /// there
     ///
     /// The run survives Ctrl-C, kill -9 and power cuts, and ends with the same bytes. The file is removed at the end.
-    /// With --memory, the sums that left memory lie beside it: FILE.run0, FILE.run1, …
+    /// With --memory, the sums that left memory lie beside it: FILE.run0, FILE.run1, …; with --error-bars, FILE.0.run0
     #[arg(long, value_name = "FILE", conflicts_with = "dump_samples", help_heading = heading::OUTPUT)]
     checkpoint: Option<PathBuf>,
 

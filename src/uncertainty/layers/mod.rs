@@ -126,6 +126,9 @@ macro_rules! layers {
             /// Reads all layers. A layer may use those before it.
             pub fn read(file: &mut Source) -> Result<Self> {
                 $(file.layers.$name = file.layer()?;)*
+                if file.is_dense && file.layers.limits.is_some() {
+                    return Err(file.malformed("header, limits", "none on a dense grid", "some"));
+                }
                 Ok(std::mem::take(&mut file.layers))
             }
 

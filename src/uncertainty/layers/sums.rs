@@ -59,17 +59,18 @@ pub fn each_sums(file: &mut Source, mut visit: impl FnMut(VertexSums) -> Result<
             Err(wrong("sums", i, "sums that rays can give", format!("{sums:?}")))
         }
     };
-    let count = if name == "exact" {
-        file.each(name, visit)?
+    let size = if name == "exact" { VertexSums::SIZE } else { FactoredSums::SIZE };
+    file.expect_one_per_vertex("sums", file.bytes(name) as usize / size)?;
+    if name == "exact" {
+        file.each(name, visit)
     } else {
         file.each(name, |i, factor: FactoredSums| {
             if !factor.is_valid() {
                 return Err(wrong(name, i, "a Cholesky factor", format!("{factor:?}")));
             }
             visit(i, factor.sums())
-        })?
-    };
-    file.expect_one_per_vertex("sums", count)
+        })
+    }
 }
 
 /// Sums, written as their factors. These are computed on the way: all of them would take half as much again as the

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 
 use self::parts::{Part, heads};
 use super::UncertaintyField;
+use crate::posterior::overflow::MOST_RUNS;
 use crate::posterior::{DensePosterior, DiagonalSums, Entries, OctreePosterior};
 use crate::rays::RaySet;
 use crate::{Error, Result};
@@ -28,7 +29,8 @@ use crate::{Error, Result};
 ///
 /// Memory does not grow with the number of parts or with their sums: those of files are read vertex by vertex, and what
 /// 256 MB have no room for goes to disk, as in a run under a [budget](crate::estimate::GridSettings::memory). Beside
-/// it, there are the octree of one part, and the joined field.
+/// it, there are the octree of one part, and the joined field. With error bars, dense grids of all parts stay in memory, and
+/// pooled fields take 8 bytes for every vertex and part while their errors are computed.
 #[derive(Debug, Clone)]
 #[must_use]
 pub struct Merging {
@@ -78,6 +80,10 @@ impl Merging {
         alike::check(&heads)?;
         if self.error_bars {
             alike::check_independent(&heads)?;
+            if heads.len() > MOST_RUNS {
+                let expected = format!("at most {MOST_RUNS} fields, whose sums are read side by side");
+                return Err(Error::setting("fields to compare", expected, heads.len().to_string()));
+            }
         }
         let joining = shards::Joining::new(self, &heads, in_one_order(&heads));
         match (first.is_dense, joining.entries()) {

@@ -20,6 +20,7 @@ pub struct Head {
     pub ray_sets: Vec<RaySet>,
     pub is_dense: bool,
     pub has_error_bars: bool,
+    pub has_sums: bool,
 }
 
 /// A part of a run: a field in memory, or in a file.
@@ -28,8 +29,8 @@ pub trait Part {
     fn head(&self, number: usize) -> Result<Head>;
     /// Where its vertices are, and its layers; they may lack the sums.
     fn without_sums(&self) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)>;
-    /// Calls `visit` with the sums at each of its `vertices`, in their order. Returns whether it has sums.
-    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<bool>;
+    /// Calls `visit` with the sums at each of its `vertices`, in their order.
+    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()>;
 }
 
 impl Part for UncertaintyField {
@@ -41,6 +42,7 @@ impl Part for UncertaintyField {
             ray_sets: self.ray_sets().to_vec(),
             is_dense: matches!(self.support, Support::Dense),
             has_error_bars: self.error_bars().is_some(),
+            has_sums: self.sums().is_some(),
         })
     }
 
@@ -48,9 +50,8 @@ impl Part for UncertaintyField {
         Ok((Cow::Borrowed(&self.support), Cow::Borrowed(&self.layers)))
     }
 
-    fn each_sums(&self, _vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<bool> {
-        self.sums().into_iter().flatten().copied().try_for_each(visit)?;
-        Ok(self.sums().is_some())
+    fn each_sums(&self, _vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()> {
+        self.sums().into_iter().flatten().copied().try_for_each(visit)
     }
 }
 
@@ -63,7 +64,7 @@ impl<P: Part> Part for &P {
         (*self).without_sums()
     }
 
-    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<bool> {
+    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()> {
         (*self).each_sums(vertices, visit)
     }
 }
@@ -78,7 +79,7 @@ impl Part for PathBuf {
         Ok((Cow::Owned(support), Cow::Owned(layers)))
     }
 
-    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<bool> {
+    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()> {
         UncertaintyField::each_sums(self, vertices, visit)
     }
 }

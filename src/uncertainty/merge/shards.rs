@@ -1,5 +1,7 @@
 //! Adds up the sums of different rays.
 
+use rayon::prelude::*;
+
 use super::Merging;
 use super::parts::{Head, Part};
 use crate::geometry::Lattice;
@@ -12,7 +14,9 @@ use crate::uncertainty::{Finish, RunRecord, Support, UncertaintyField};
 use crate::{Error, Result};
 
 /// Vertices that are added before the room is looked at.
-const VERTICES_PER_CHECK: u64 = 1 << 16;
+const VERTICES_PER_CHECK: u64 = 1 << 12;
+/// Points on surfaces that are kept of parts, before their number is that of the part with most: 12 MB.
+const SURFACE_POINTS: usize = 1 << 20;
 
 /// What is joined, and how.
 pub struct Joining<'a> {
@@ -46,7 +50,9 @@ impl<'a> Joining<'a> {
 
     /// Adds the parts, one after the other.
     pub fn join<P: Finish>(&self, parts: &[impl Part]) -> Result<UncertaintyField> {
-        let overflow = Overflow::new(self.settings.room, &self.settings.scratch, None);
+        // While a group is added, others may be in memory.
+        let room = self.settings.room / if self.settings.error_bars { 2 } else { 1 };
+        let overflow = Overflow::new(room, &self.settings.scratch, None);
         let lattice = self.heads[self.order[0]].lattice;
         let mut beside = Beside::default();
         // Those of all parts, or of each.
@@ -56,6 +62,8 @@ impl<'a> Joining<'a> {
             beside.add(self, i, &layers)?;
             if let (true, Support::Octree(octree)) = (self.keeps_leaves(), &*support) {
                 octree.cells().for_each_leaf(|leaf| beside.wanted.push(leaf));
+                beside.wanted.par_sort_unstable_by_key(|cell| (cell.level, cell.index));
+                beside.wanted.dedup();
             }
             if sums.is_empty() || self.settings.error_bars {
                 sums.push(P::empty(lattice, &beside.limits(&lattice)));
@@ -63,8 +71,7 @@ impl<'a> Joining<'a> {
             let last = sums.len() - 1;
             self.add(&mut sums[last], &parts[i], i, &support, &overflow)?;
             let has_left = sums.iter().any(|group| !group.runs().is_empty());
-            if self.settings.error_bars && (has_left || sums.iter().map(P::memory).sum::<usize>() > self.settings.room)
-            {
+            if self.settings.error_bars && (has_left || sums.iter().map(P::memory).sum::<usize>() > room) {
                 sums.iter_mut().try_for_each(|group| overflow.spill_to_one(group))?;
             }
         }
@@ -103,7 +110,7 @@ impl<'a> Joining<'a> {
             Support::Dense => Box::new((0..support.vertices(&lattice)).map(|v| lattice.dense_point(v as usize))),
         };
         let mut count = 0_u64;
-        let has_sums = part.each_sums(support.vertices(&lattice), &mut |sums| {
+        part.each_sums(support.vertices(&lattice), &mut |sums| {
             let point = points.next().expect("sums of a field are one per vertex");
             // Vertices that only balance the octree take no room.
             if sums != VertexSums::default() {
@@ -112,11 +119,7 @@ impl<'a> Joining<'a> {
             count += 1;
             if count.is_multiple_of(VERTICES_PER_CHECK) { overflow.spill_if_full(to).map(|_| ()) } else { Ok(()) }
         })?;
-        if has_sums {
-            return overflow.spill_if_full(to).map(|_| ());
-        }
-        let found = format!("{}, which does not", self.heads[i].name);
-        Err(Error::setting("kept sums", "fields that keep their sums", found))
+        overflow.spill_if_full(to).map(|_| ())
     }
 
     /// The field of all sums.
@@ -168,6 +171,9 @@ impl Beside {
             Some(layers) => layers.merge(own),
         }
         self.most = self.most.max(own.surface.as_ref().map_or(0, Vec::len));
+        if let Some(surface) = self.layers.as_mut().and_then(|layers| layers.surface.as_mut()) {
+            surface.truncate(self.most.max(SURFACE_POINTS));
+        }
         Ok(())
     }
 

@@ -17,7 +17,7 @@ use crate::posterior::{
 };
 use crate::rays::Shard;
 use crate::uncertainty::tests::{barred, on_own_octree};
-use crate::uncertainty::{ResidualSums, RunRecord, Support};
+use crate::uncertainty::{ResidualSums, RunRecord, StandardDeviations, Support};
 
 const LEVEL: u8 = 4;
 
@@ -206,45 +206,86 @@ fn one_part_of_unknown_rays_makes_all_unknown() {
     }
 }
 
-/// Whatever the room for sums, files or fields: the sums are integers here, so that all bits are the same.
+fn refusal(joined: Result<UncertaintyField>) -> String {
+    let Err(error) = joined else { panic!("a refusal") };
+    error.to_string()
+}
+
+/// Whatever the room for sums, of files as of fields. Those of shards are exact, so that all bits are the same.
 #[test]
 fn sums_that_leave_memory_join_to_the_same_field() {
     let random = &mut ChaCha8Rng::seed_from_u64(8);
-    let folder = tempfile::tempdir().unwrap();
-    let scratch = tempfile::tempdir().unwrap();
-    let fields: Vec<UncertaintyField> =
-        (0..5).map(|seed| part(seed, Shard::whole(512 * (seed + 2)), false, random).field).collect();
-    let file = |i: usize| folder.path().join(format!("{i}.oct"));
-    fields.iter().enumerate().for_each(|(i, field)| field.write(&file(i)).unwrap());
-    let files: Vec<PathBuf> = (0..5).map(file).collect();
-    let read: Vec<UncertaintyField> = files.iter().map(|file| UncertaintyField::read(file).unwrap()).collect();
-    for [keep_sums, error_bars] in [[true, false], [false, false], [true, true], [false, true]] {
-        let with = |room| {
+    let [folder, scratch] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let written = |name: &str, fields: &[UncertaintyField]| -> Vec<PathBuf> {
+        let path = |i: usize| folder.path().join(format!("{name}{i}.oct"));
+        fields.iter().enumerate().for_each(|(i, field)| field.write(&path(i)).unwrap());
+        (0..fields.len()).map(path).collect()
+    };
+    let mut made = |seed: u64, shard| part(seed, shard, false, random).field;
+    let shards: Vec<UncertaintyField> = (0..5).map(|index| made(1, Shard { rays: 512 * 25, index, of: 6 })).collect();
+    let seeds: Vec<UncertaintyField> = (0..5).map(|seed| made(seed, Shard::whole(512 * (seed + 2)))).collect();
+    let of_shards = written("shard", &shards);
+    let files = written("seed", &seeds);
+    // Factors in files round, of whole runs.
+    let seeds: Vec<UncertaintyField> = files.iter().map(|file| UncertaintyField::read(file).unwrap()).collect();
+    let memory = {
+        let mut posterior = OctreePosterior::new(lattice());
+        (0..16).for_each(|i| posterior.add_sums([i; 3], &VertexSums::new([1.0, 0.0, 0.0, 1.0, 0.0, 1.0], 1)));
+        posterior.memory()
+    };
+    for room in [1, memory, 3 * memory, usize::MAX] {
+        let with = |keep_sums: bool, error_bars: bool| {
             let settings = Merging::default().keep_sums(keep_sums).error_bars(error_bars).scratch(scratch.path());
             Merging { room, ..settings }
         };
-        let free = with(usize::MAX).join(&read).unwrap();
-        assert_eq!((free.sums().is_some(), free.error_bars().is_some()), (keep_sums, error_bars));
-        // Factors in files round; of shards, sums are exact.
-        assert!(with(usize::MAX).join(&files).unwrap() == free);
-        let bound = with(1).join(&files).unwrap();
-        assert!(bound.support() == free.support() && bound.rays() == free.rays());
-        let close = |a: f64, b: f64| (a - b).abs() <= 1e-6 * b;
-        assert!(bound.deviations().iter().zip(free.deviations().iter()).all(|(a, b)| close(a, b)));
-        let bars = |field: &UncertaintyField| field.error_bars().cloned();
-        let [of_bound, of_free] = [&bound, &free].map(bars);
-        for (a, b) in of_bound.iter().zip(&of_free) {
-            let known = (0..a.len()).filter(|&v| a.get(v).is_some()).count();
-            assert!(known > 50 && (0..a.len()).all(|v| a.get(v).is_some() == b.get(v).is_some()), "{known}");
-            let off = |v: usize| a.get(v).zip(b.get(v)).map_or(0.0, |(a, b)| (a - b).abs() - 2e-3 * b);
-            assert!((0..a.len()).all(|v| off(v) < 1e-6));
+        assert!(with(true, false).join(&of_shards).unwrap() == merge(&shards).unwrap(), "{room} bytes");
+        for [keep_sums, error_bars] in [[false, false], [true, true], [false, true]] {
+            let free = Merging { room: usize::MAX, ..with(keep_sums, error_bars) }.join(&seeds).unwrap();
+            assert_eq!((free.sums().is_some(), free.error_bars().is_some()), (keep_sums, error_bars));
+            let bound = with(keep_sums, error_bars).join(&files).unwrap();
+            assert!(bound.support() == free.support() && bound.rays() == free.rays());
+            let close = |a: f64, b: f64| (a - b).abs() <= 1e-6 * b;
+            assert!(bound.deviations().iter().zip(free.deviations().iter()).all(|(a, b)| close(a, b)));
+            for (a, b) in bound.error_bars().iter().zip(&free.error_bars()) {
+                let known = (0..a.len()).filter(|&v| a.get(v).is_some()).count();
+                assert!(known > 50 && (0..a.len()).all(|v| a.get(v).is_some() == b.get(v).is_some()), "{known}");
+                let off = |v: usize| a.get(v).zip(b.get(v)).map_or(0.0, |(a, b)| (a - b).abs() - 2e-3 * b);
+                assert!((0..a.len()).all(|v| off(v) < 1e-6));
+            }
         }
     }
+    assert_eq!(std::fs::read_dir(scratch.path()).unwrap().count(), 0, "no file has a name");
     // A folder in which nothing can be written is named; without need of it, it is not looked at.
     let nowhere = Merging::default().scratch(folder.path().join("none"));
     assert!(nowhere.join(&files).is_ok());
-    let error = Merging { room: 1, ..nowhere }.join(&files).err().expect("no folder for sums").to_string();
+    let error = refusal(Merging { room: 1, ..nowhere }.join(&files));
     assert!(error.contains("none"), "{error}");
+}
+
+/// Files with valid checksums whose sections do not fit together.
+#[test]
+fn forged_parts_are_refused() {
+    let random = &mut ChaCha8Rng::seed_from_u64(9);
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    for is_dense in [false, true] {
+        let of = |seed: u64, random: &mut ChaCha8Rng| part(seed, Shard::whole(512 * 9), is_dense, random).field;
+        let (whole, mut more, mut fewer, mut none) = (of(1, random), of(2, random), of(3, random), of(4, random));
+        more.layers.sums.as_mut().unwrap().push(VertexSums::default());
+        fewer.layers.sums.as_mut().unwrap().pop();
+        none.layers.sums = None;
+        let mut deviations = of(5, random);
+        deviations.deviations = StandardDeviations::from(vec![0.01_f32; 3]);
+        whole.write(&file("whole.oct")).unwrap();
+        for (forged, expected) in [(more, "sums"), (fewer, "sums"), (none, "kept sums"), (deviations, "deviations")] {
+            forged.write(&file("forged.oct")).unwrap();
+            let error = refusal(merge(&[file("whole.oct"), file("forged.oct")]));
+            assert!(error.contains(expected) && error.contains("forged.oct"), "{error}");
+        }
+    }
+    let many: Vec<UncertaintyField> = (0..65).map(|seed| part(seed, Shard::whole(512), false, random).field).collect();
+    let error = refusal(Merging::default().error_bars(true).join(&many));
+    assert!(error.contains("at most 64 fields"), "{error}");
 }
 
 /// Error bars compare parts with what each of them has, in whatever order they are given.
