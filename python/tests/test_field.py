@@ -98,7 +98,7 @@ def test_the_official_grid_of_contracted_space(courtyard, cameras, points, tmp_p
     assert abs(again.log10(spread) - field.log10(spread)).max() <= 0.01 + 1e-6
 
 
-def test_shards_merge_into_the_whole_run(courtyard, cameras, points):
+def test_shards_merge_into_the_whole_run(courtyard, cameras, points, tmp_path):
     whole = ob.uncertainty(courtyard, cameras, **SMALL)
     parts = [ob.uncertainty(courtyard, cameras, shard=(i, 2), **SMALL) for i in range(2)]
     assert all(part.is_part for part in parts)
@@ -106,6 +106,7 @@ def test_shards_merge_into_the_whole_run(courtyard, cameras, points):
     assert not merged.is_part
     # Sums differ by the order of f64 additions, deviations are f32.
     np.testing.assert_allclose(merged.log10(points), whole.log10(points), atol=1e-6)
+    np.testing.assert_array_equal(ob.merge(parts, scratch=tmp_path).log10(points), merged.log10(points))
     with pytest.raises(ValueError, match="fields to merge: .*rays in common"):
         ob.merge([parts[0], parts[0]])
 
