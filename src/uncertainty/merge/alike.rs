@@ -9,10 +9,6 @@ use crate::{Error, Result};
 /// Refuses parts that differ in model, cameras or a setting that affects a sum, and parts that may share rays.
 pub fn check(heads: &[Head]) -> Result<()> {
     let Some((first, rest)) = heads.split_first() else { return Ok(()) };
-    if let Some(head) = heads.iter().find(|head| !head.has_sums) {
-        let found = format!("{}, which does not", head.name);
-        return Err(Error::setting("kept sums", "fields that keep their sums", found));
-    }
     for (i, head) in rest.iter().enumerate() {
         check_alike(first, head)?;
         if let Some(other) = heads[..=i].iter().find(|other| may_share_rays(other, head)) {
@@ -20,6 +16,11 @@ pub fn check(heads: &[Head]) -> Result<()> {
             let expected = "different seeds, different shards of one run, or different sample files";
             return Err(Error::setting("fields to merge", expected, found));
         }
+    }
+    // What belongs together can be computed again with its sums.
+    if let Some(head) = heads.iter().find(|head| !head.has_sums) {
+        let found = format!("{}, which does not", head.name);
+        return Err(Error::setting("kept sums", "fields that keep their sums", found));
     }
     Ok(())
 }
