@@ -477,9 +477,9 @@ def merge(
 ) -> Uncertainty:
     """Joins fields of one box, level and record from different rays: shards of a run, or other seeds.
 
-    error_bars: also the error of log10 U, from the fields' differences (of different seeds, at most 64). scratch: folder
-    for sums beyond 256 MB, by default the system's for temporary files, which may be memory. The fields must keep their
-    sums (shards do). Raises ValueError if they do not belong together. Warns of missing shards.
+    error_bars: also the error of log10 U, from the fields' differences (of different seeds, at most 64). scratch: the
+    folder for sums beyond 256 MB, by default the system's for temporary files, which may be memory. The fields must
+    keep their sums (shards do). Raises ValueError if they do not belong together. Warns of missing shards.
     """
     given = [_field(f"fields[{i}]", field)._field for i, field in enumerate(fields)]
     field, texts = _octobayes.merge(
