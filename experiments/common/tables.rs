@@ -6,7 +6,7 @@ use octobayes::{Error, Result};
 
 use super::work::write_whole;
 
-/// Rows of cells, the first of which are names of columns.
+/// Rows of cells; the first row names the columns.
 type Cells = Vec<Vec<String>>;
 
 /// The tables of a block, which are in Markdown.
@@ -65,7 +65,8 @@ mod tests {
     #[test]
     fn tables_of_a_block_become_files() {
         let folder = tempfile::tempdir().unwrap();
-        let body = "*stamp* words\n\n| a | b, c |\n| --- | --- |\n| 1,234,567 | x, y |\n|  | 2 ± 1 |\n\nmore\n\n| d |\n| --- |\n| 5 |\n";
+        let body = "*stamp* words\n\n| a | b, c |\n| --- | --- |\n| 1,234,567 | x, y |\n|  | 2 ± 1 |\n\n\
+                    more\n\n| d |\n| --- |\n| 5 |\n";
         write(folder.path(), "report_one-part", body).unwrap();
         let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
         assert_eq!(read("report_one_part.csv"), "a,\"b, c\"\n1234567,\"x, y\"\n,2 ± 1\n");

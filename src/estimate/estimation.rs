@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::{Checkpoint, Feature, GridSettings, Model, RaySettings, require};
 use crate::geometry::{Camera, Domain, Lattice, Mask};
 use crate::monitor::{Monitor, Silent};
+use crate::posterior::Pooling;
 use crate::posterior::overflow::MOST_RUNS;
 use crate::rays::{Pixels, RayStream, Shard};
 use crate::render::RaySamples;
@@ -52,6 +53,17 @@ impl Goal {
         match self {
             Self::Groups(groups) => Some(*groups),
             _ => None,
+        }
+    }
+
+    /// Number of sets of sums that are in memory at once, if none leaves it.
+    pub(super) fn sets_of_sums(self, pooling: Pooling) -> u16 {
+        match self {
+            Self::Shard { .. } => 1,
+            Self::Groups(groups) => groups.saturating_add(1),
+            // Error bars of pooled halves are made of a copy of both, and of their sum.
+            Self::MeanError(_) if pooling.is_on() => 5,
+            Self::MeanError(_) => 2,
         }
     }
 }
@@ -222,22 +234,6 @@ impl<'a> Estimation<'a> {
         match self.goal {
             Goal::Shard { index, of } => Shard::new(self.rays.rays, index, of),
             _ => Shard::whole(self.rays.rays),
-        }
-    }
-
-    /// Number of sets of sums that are in memory at once, if none leaves it.
-    pub(super) fn sets_of_sums(&self) -> u64 {
-        match self.goal {
-            Goal::Shard { .. } => 1,
-            Goal::Groups(groups) => u64::from(groups) + 1,
-            // Error bars of pooled halves are made of a copy of both, and of their sum.
-            Goal::MeanError(_) => {
-                if self.grid.pooling.is_on() {
-                    5
-                } else {
-                    2
-                }
-            }
         }
     }
 

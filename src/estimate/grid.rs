@@ -89,7 +89,7 @@ impl GridSettings {
 
     /// Whether the field is made of a copy of all sums at its vertices; so it is in any run that is a part of another.
     pub(super) fn gathers_sums(&self, is_part: bool) -> bool {
-        is_part || self.keep_sums || self.pooling.is_on()
+        self.pooling.gathers_sums(is_part, self.keep_sums)
     }
 
     /// What an octree sums of S: no more than is read.

@@ -11,7 +11,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::{GridKind, GridSettings, RaySettings, SURFACE_POINTS};
+use super::{Goal, GridKind, GridSettings, RaySettings, SURFACE_POINTS};
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::io::container::Item;
@@ -122,8 +122,7 @@ pub struct Planner {
     picture: f64,
     /// Bytes that sums may take in memory, if there is a budget.
     room: Option<f64>,
-    /// Number of groups of rays with sums of their own, if there are any.
-    groups: Option<u16>,
+    goal: Goal,
     time: Duration,
 }
 
@@ -182,7 +181,7 @@ impl Planner {
             outside: outside + lists + 0.5 * RESERVE,
             picture: 0.0,
             room: None,
-            groups: None,
+            goal: Goal::default(),
             time: match preparing {
                 None => start.elapsed().mul_f64(own_scale),
                 Some(Preparing { view, of_pilot, of_run }) => {
@@ -205,10 +204,10 @@ impl Planner {
         Self { room: room.map(|room| room as f64), ..self }
     }
 
-    /// The planner of a run in groups of rays.
+    /// The planner of a run with this goal.
     #[must_use]
-    pub fn with_groups(self, groups: Option<u16>) -> Self {
-        Self { groups, ..self }
+    pub fn with_goal(self, goal: Goal) -> Self {
+        Self { goal, ..self }
     }
 
     /// What the run will need.
@@ -237,9 +236,10 @@ impl Planner {
             (false, true) => size_of::<FactoredSums>() as f64,
             (false, false) => 0.0,
         };
-        let bars = if self.groups.is_some() { BARS } else { 0.0 };
+        let groups = self.goal.groups();
+        let bars = if groups.is_some() { BARS } else { 0.0 };
         // Pooled deviations without each group are made of all sums around a vertex, and kept until the last.
-        let pooled = self.groups.filter(|_| self.settings.pooling.is_on());
+        let pooled = groups.filter(|_| self.settings.pooling.is_on());
         let deleted = pooled.map_or(0.0, |groups| size_of::<VertexSums>() as f64 + 8.0 * f64::from(groups));
         Plan {
             given_up: counts.shares(&limits),
@@ -259,9 +259,9 @@ impl Planner {
         }
     }
 
-    /// Number of sets of sums in memory at the end: those of each group, and of all.
+    /// Number of sets of sums in memory at the end.
     fn sets(&self) -> f64 {
-        self.groups.map_or(1.0, |groups| f64::from(groups) + 1.0)
+        self.goal.sets_of_sums(self.settings.pooling).into()
     }
 
     /// Vertices of the field on an octree; bytes of the sums in memory, room beside them that nothing uses, and bytes
@@ -270,20 +270,22 @@ impl Planner {
         let entries = self.settings.entries(self.is_part);
         let needs = |parts: f64| self.census.needs(self.own_scale / parts, limits);
         let taken = |needs: &Needs| needs.summing(entries) + needs.spare();
-        let (all, groups) = (needs(1.0), f64::from(self.groups.unwrap_or(1)));
-        let of_group = needs(groups);
-        let Some(room) = self.room.filter(|room| self.groups.is_some() || taken(&all) > *room) else {
+        let (all, groups) = (needs(1.0), self.goal.groups());
+        let of_group = needs(groups.unwrap_or(1).into());
+        let Some(room) = self.room.filter(|room| groups.is_some() || taken(&all) > *room) else {
             let others = self.sets() - 1.0;
             let summing = all.summing(entries) + others * of_group.summing(entries);
             return (all.vertices, summing, all.spare() + others * of_group.spare(), 0.0);
         };
-        // The fewest runs of equal numbers of rays that each fit.
-        let fits = |runs: &f64| taken(&needs(groups * runs)) <= room || *runs > 1e6;
+        // The fewest runs of equal numbers of rays that each fit, and their sums.
+        let parts = f64::from(groups.unwrap_or(1));
+        let fits = |runs: &f64| taken(&needs(parts * runs)) <= room || *runs > 1e6;
         let runs = (0..).map(|power| f64::from(power).exp2()).find(fits).unwrap_or(1.0);
-        let record = (u64::SIZE + entries.record_bytes()) as f64;
+        let of_runs = runs * needs(parts * runs).sums;
         // Those of a group are merged while they are still there.
-        let merged = if self.groups.is_some() && runs > 1.0 { runs * needs(groups * runs).sums } else { 0.0 };
-        let kept = if self.groups.is_some() { groups * of_group.sums } else { runs * needs(runs).sums };
-        (all.vertices, taken(&of_group).min(room), 0.0, (kept + merged) * record)
+        let merged = if runs > 1.0 { of_runs } else { 0.0 };
+        let sums = groups.map_or(of_runs, |_| parts * of_group.sums + merged);
+        let record = (u64::SIZE + entries.record_bytes()) as f64;
+        (all.vertices, taken(&of_group).min(room), 0.0, sums * record)
     }
 }

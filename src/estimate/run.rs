@@ -96,8 +96,8 @@ impl<'a> Run<'a> {
         let (model, taken) = (self.stream.source.memory(), resident().unwrap_or(0));
         let least = match grid {
             GridKind::Dense => {
-                let sums = DensePosterior::required_memory(&self.lattice).saturating_mul(self.settings.sets_of_sums());
-                taken.saturating_add(sums)
+                let sets = self.settings.goal.sets_of_sums(self.settings.grid.pooling);
+                taken.saturating_add(DensePosterior::required_memory(&self.lattice).saturating_mul(sets.into()))
             }
             GridKind::Octree => least_budget(taken, model),
         };
@@ -138,7 +138,7 @@ impl<'a> Run<'a> {
     fn pilot(&self) -> Result<Planner> {
         let Estimation { rays, grid, monitor, picture, .. } = &self.settings;
         let planner = Planner::new(*grid, rays, &self.stream, self.settings.own_shard(), self.lattice, *monitor)?;
-        Ok(planner.with_picture(*picture).with_room(self.room).with_groups(self.settings.goal.groups()))
+        Ok(planner.with_picture(*picture).with_room(self.room).with_goal(self.settings.goal))
     }
 
     /// The folder of sums that leave memory, and the bytes of those that an interrupted run left there; `None` without

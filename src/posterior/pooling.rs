@@ -26,6 +26,12 @@ impl Pooling {
         self != Self::Off
     }
 
+    /// Whether a field of such sums is made of a copy of all of them: if it is a part of others, keeps them, or is pooled.
+    #[must_use]
+    pub fn gathers_sums(self, is_part: bool, keep_sums: bool) -> bool {
+        is_part || keep_sums || self.is_on()
+    }
+
     /// Largest change of log10 U by what an octree of this `tolerance` leaves out.
     #[must_use]
     pub fn largest_change(self, tolerance: f64) -> f64 {

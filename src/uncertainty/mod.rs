@@ -55,7 +55,6 @@ use crate::Result;
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, VertexId};
 use crate::posterior::{DensePosterior, LocalSums, OctreePosterior, Posterior, Reading, Sums, VertexSums, deviations};
-use crate::rays::RaySet;
 
 /// A vertex counts as moved if log10 U lies more than this many decades below the prior's.
 ///
@@ -160,7 +159,7 @@ impl UncertaintyField {
         gathers_sums: bool,
     ) -> Result<Self> {
         let limits = posterior.limits().clone();
-        let must = record.is_part() || record.pooling.is_on();
+        let must = record.pooling.gathers_sums(record.is_part(), false);
         assert!(if gathers_sums { S::IS_WHOLE } else { !must }, "a part of a run, or a pooled one, needs all sums");
         Ok(if gathers_sums {
             let sums = posterior.sums_at(&octree)?;
@@ -292,7 +291,7 @@ impl UncertaintyField {
 impl Layers {
     /// Whether a field with this record is only a part of a run.
     fn is_part(&self, record: &RunRecord) -> bool {
-        record.is_part() || self.ray_sets.iter().flatten().any(RaySet::is_part)
+        record.is_part_by(self.ray_sets.as_deref().unwrap_or_default())
     }
 }
 

@@ -74,6 +74,11 @@ impl RunRecord {
         self.shard.is_some_and(|share| share.of > 1)
     }
 
+    /// Whether a field with this record and these sets of rays is only a part of a run.
+    pub(super) fn is_part_by(&self, ray_sets: &[RaySet]) -> bool {
+        self.is_part() || ray_sets.iter().any(RaySet::is_part)
+    }
+
     /// How the sums of these rays are read as deviations.
     #[must_use]
     pub(crate) fn reading(&self) -> Reading {

@@ -119,8 +119,8 @@ fn progress() -> RunProgress {
     RunProgress { batches: 1, rays: 5, samples: 12, ..RunProgress::default() }
 }
 
-/// The field with error bars by two groups of rays, one of which met the vertices at these `points`, and the other
-/// every third.
+/// The field with error bars by two groups of rays. The first met the vertices at these `points`, the second every
+/// third.
 fn barred<P: Posterior + Clone>(
     field: UncertaintyField,
     empty: P,

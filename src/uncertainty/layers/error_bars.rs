@@ -34,7 +34,7 @@ use serde_json::Value;
 use super::super::file::Source;
 use super::{Change, Layer, Sections};
 use crate::Result;
-use crate::metrics::median;
+use crate::io::container::Section;
 use crate::posterior::{Posterior, Reading, Sums, VertexSums};
 use crate::uncertainty::{MOVED, StandardDeviations, UncertaintyField};
 
@@ -142,12 +142,7 @@ impl ErrorBars {
         self.errors.is_empty()
     }
 
-    /// The number of groups, followed by the bits of every error.
-    fn words(&self) -> Vec<u16> {
-        std::iter::once(self.groups).chain(self.errors.iter().copied()).collect()
-    }
-
-    /// Restores what [`ErrorBars::words`] returned. The words may come from an untrusted file.
+    /// Restores the number of groups and the bits of every error behind it, which may come from an untrusted file.
     ///
     /// # Errors
     /// What was expected and what was found instead.
@@ -175,13 +170,21 @@ impl ErrorBars {
     }
 }
 
+impl Section for &ErrorBars {
+    /// The number of groups, then the bits of every error.
+    fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
+        [self.groups].as_slice().visit(visit)?;
+        self.errors.as_slice().visit(visit)
+    }
+}
+
 impl Layer for ErrorBars {
     const NAME: &'static str = "error bars";
     const DEPENDS_ON: &'static [Change] = &[Change::Covariance, Change::Prior, Change::Vertices];
     const WITHOUT: &'static str = "uncertainty --error-bars makes them";
 
     fn sections(&self, _to_be_merged: bool) -> Sections<'_> {
-        vec![("errors", Box::new(self.words()))]
+        vec![("errors", Box::new(self))]
     }
 
     fn read(_head: Value, file: &mut Source) -> Result<Self> {
@@ -220,9 +223,23 @@ fn is_known<S: Sums>(groups: &[S]) -> bool {
     seen >= MIN_GROUPS_AND_RAYS.0 && rays >= MIN_GROUPS_AND_RAYS.1
 }
 
+/// The median of so many numbers, given how often each f16 is among them, by its bits; 0 if there are none.
+fn median(counts: &[usize], all: usize) -> f64 {
+    let nth = |n: usize| {
+        let mut before = 0;
+        let bits = counts.iter().position(|count| {
+            before += count;
+            before > n
+        });
+        bits.map_or(0.0, |bits| f16::from_bits(bits as u16).to_f64())
+    };
+    let half = all / 2;
+    0.5 * (nth(half.saturating_sub(1 - all % 2)) + nth(half))
+}
+
 impl UncertaintyField {
-    /// Adds the error of every log10 σ_v to the field, computed from the sums of independent `groups` of rays, of which
-    /// each comes from so many `rays`.
+    /// Adds the error of every log10 σ_v to the field. It is computed from the sums of independent `groups`; group g has
+    /// `rays[g]` rays.
     ///
     /// # Errors
     /// If sums that left memory cannot be read.
@@ -285,19 +302,25 @@ impl UncertaintyField {
     #[must_use]
     pub fn error_summary(&self) -> Option<ErrorSummary> {
         let groups = self.error_bars()?.groups;
-        let moved = self.errors_of_moved();
-        let errors: Vec<f64> = moved.iter().copied().flatten().collect();
-        let known = errors.len();
-        let mean_square = errors.iter().map(|e| e * e).sum::<f64>() / known.max(1) as f64;
-        let median = if known > 0 { median(errors) } else { 0.0 };
-        Some(ErrorSummary { groups, moved: moved.len(), known, root_mean_square: mean_square.sqrt(), median })
+        // Errors have few values, and bits of f16 their order: so there is no list of them.
+        let (mut moved, mut known, mut squares, mut counts) = (0, 0, 0.0, vec![0; usize::from(UNKNOWN)]);
+        for error in self.errors_of_moved() {
+            moved += 1;
+            if let Some(error) = error {
+                known += 1;
+                squares += error * error;
+                counts[usize::from(f16::from_f64(error).to_bits())] += 1;
+            }
+        }
+        let root_mean_square = (squares / known.max(1) as f64).sqrt();
+        Some(ErrorSummary { groups, moved, known, root_mean_square, median: median(&counts, known) })
     }
 
     /// `[moved vertices]`: the error of each, decades, `None` where it is unknown. Empty without error bars.
-    pub(crate) fn errors_of_moved(&self) -> Vec<Option<f64>> {
+    pub(crate) fn errors_of_moved(&self) -> impl Iterator<Item = Option<f64>> {
         let limit = self.prior() * 10_f64.powf(-MOVED);
         let bars = self.error_bars().into_iter().flat_map(|bars| (0..bars.len()).map(|v| (v, bars.get(v))));
-        bars.filter(|(v, _)| self.deviations.get(*v) < limit).map(|(_, error)| error).collect()
+        bars.filter(move |(v, _)| self.deviations.get(*v) < limit).map(|(_, error)| error)
     }
 
     /// `[vertices]`: errors of log10 σ_v, if the field has them.
@@ -310,6 +333,7 @@ impl UncertaintyField {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::io::container::Item;
     use proptest::prelude::*;
 
     proptest! {
@@ -362,13 +386,30 @@ mod tests {
         ) {
             let bits = |e: &Option<f64>| e.map_or(UNKNOWN, |e| f16::from_f64(e).to_bits());
             let bars = ErrorBars { groups, errors: errors.iter().map(bits).collect() };
-            let read = ErrorBars::from_words(&bars.words(), errors.len() as u64).unwrap();
-            prop_assert_eq!(read.words(), bars.words());
+            let mut bytes = Vec::new();
+            let mut put = |piece: &[u8]| {
+                bytes.extend(piece);
+                Ok(())
+            };
+            (&bars).visit(&mut put).unwrap();
+            let words: Vec<u16> = bytes.chunks_exact(u16::SIZE).map(u16::take).collect();
+            let read = ErrorBars::from_words(&words, errors.len() as u64).unwrap();
+            prop_assert_eq!(&read, &bars);
             for (v, error) in errors.iter().enumerate() {
                 // 11 significant bits, or the smallest step of f16.
                 let close = |(a, b): (f64, f64)| (a - b).abs() <= b * 2.0_f64.powi(-11) + 2.0_f64.powi(-25);
                 prop_assert!(read.get(v).is_some() == error.is_some() && read.get(v).zip(*error).is_none_or(close));
             }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn medians_of_counts_are_those_of_lists(bits in proptest::collection::vec(0..0x7c00_u16, 0..30)) {
+            let mut counts = vec![0; usize::from(UNKNOWN)];
+            bits.iter().for_each(|bits| counts[usize::from(*bits)] += 1);
+            let list = crate::metrics::median(bits.iter().map(|bits| f16::from_bits(*bits).to_f64()));
+            prop_assert_eq!(median(&counts, bits.len()), if bits.is_empty() { 0.0 } else { list });
         }
     }
 

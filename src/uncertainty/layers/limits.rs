@@ -3,8 +3,9 @@
 use serde_json::Value;
 
 use super::super::file::Source;
-use super::{Layer, Merge, Sections};
+use super::{Layer, Layers, Merge, Sections};
 use crate::Result;
+use crate::geometry::Lattice;
 use crate::octree::MaxLevels;
 use crate::uncertainty::UncertaintyField;
 
@@ -33,10 +34,18 @@ impl Layer for MaxLevels {
     }
 }
 
+impl Layers {
+    /// Limits of the leaves on which rays were summed.
+    #[must_use]
+    pub fn limits(&self, lattice: &Lattice) -> MaxLevels {
+        self.limits.clone().unwrap_or_else(|| MaxLevels::none(lattice.level()))
+    }
+}
+
 impl UncertaintyField {
     /// Limits of the leaves on which rays were summed.
     #[must_use]
     pub fn limits(&self) -> MaxLevels {
-        self.layers.limits.clone().unwrap_or_else(|| MaxLevels::none(self.lattice.level()))
+        self.layers.limits(&self.lattice)
     }
 }

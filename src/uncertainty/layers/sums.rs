@@ -24,11 +24,10 @@ impl Layer for Vec<VertexSums> {
     }
 
     fn read(_head: Value, file: &mut Source) -> Result<Self> {
-        // No more than the file holds.
-        let [exact, factors] = [("exact", VertexSums::SIZE), ("factors", FactoredSums::SIZE)]
-            .map(|(section, size)| file.bytes(section) as usize / size);
-        let mut all = Self::with_capacity(exact.max(factors));
+        let (mut all, vertices) = (Self::new(), file.vertices as usize);
         each_sums(file, |sums| {
+            // The file has as many, or this is not called.
+            all.reserve_exact(vertices - all.len());
             all.push(sums);
             Ok(())
         })?;

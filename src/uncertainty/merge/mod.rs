@@ -29,8 +29,8 @@ use crate::{Error, Result};
 ///
 /// Memory does not grow with the number of parts or with their sums: those of files are read vertex by vertex, and what
 /// 256 MB have no room for goes to disk, as in a run under a [budget](crate::estimate::GridSettings::memory). Beside
-/// it, there are the octree of one part, and the joined field. With error bars, dense grids of all parts stay in memory, and
-/// pooled fields take 8 bytes for every vertex and part while their errors are computed.
+/// it, there are the octree of one part, and the joined field. With error bars, dense grids of all parts stay in memory,
+/// and pooled fields take 8 bytes for every vertex and part while their errors are computed.
 #[derive(Debug, Clone)]
 #[must_use]
 pub struct Merging {
@@ -85,11 +85,11 @@ impl Merging {
                 return Err(Error::setting("fields to compare", expected, heads.len().to_string()));
             }
         }
-        let joining = shards::Joining::new(self, &heads, in_one_order(&heads));
+        let joining = shards::Joining::new(self, parts, &heads, &in_one_order(&heads));
         match (first.is_dense, joining.entries()) {
-            (true, _) => joining.join::<DensePosterior>(parts),
-            (false, Entries::All) => joining.join::<OctreePosterior>(parts),
-            (false, Entries::Diagonal) => joining.join::<OctreePosterior<DiagonalSums>>(parts),
+            (true, _) => joining.join::<DensePosterior>(),
+            (false, Entries::All) => joining.join::<OctreePosterior>(),
+            (false, Entries::Diagonal) => joining.join::<OctreePosterior<DiagonalSums>>(),
         }
     }
 }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::Merging;
 use super::parts::{Head, Part};
 use crate::geometry::Lattice;
-use crate::octree::{Cell, MaxLevels};
+use crate::octree::Cell;
 use crate::posterior::overflow::Overflow;
 use crate::posterior::{Entries, Reading, Refinement, VertexSums};
 use crate::rays::RaySet;
@@ -16,31 +16,33 @@ use crate::{Error, Result};
 /// Vertices that are added before the room is looked at.
 const VERTICES_PER_CHECK: u64 = 1 << 12;
 /// Points on surfaces that are kept of parts, before their number is that of the part with most: 12 MB.
-const SURFACE_POINTS: usize = 1 << 20;
+const MAX_SURFACE_POINTS: usize = 1 << 20;
 
-/// What is joined, and how.
-pub struct Joining<'a> {
+/// Parts that are joined, and how.
+pub struct Joining<'a, P> {
     settings: &'a Merging,
-    /// Those of all parts, as they are given.
-    heads: &'a [Head],
-    /// In which order they are added.
-    order: Vec<usize>,
+    /// In the order in which they are added.
+    parts: Vec<&'a P>,
+    /// Of each part.
+    heads: Vec<&'a Head>,
     ray_sets: Vec<RaySet>,
     record: RunRecord,
 }
 
-impl<'a> Joining<'a> {
-    pub fn new(settings: &'a Merging, heads: &'a [Head], order: Vec<usize>) -> Self {
-        let of: Vec<&Head> = order.iter().map(|&i| &heads[i]).collect();
-        let ray_sets = ray_sets(&of);
-        let record = record(&of, &ray_sets);
-        Self { settings, heads, order, ray_sets, record }
+impl<'a, P: Part> Joining<'a, P> {
+    /// Of `parts` with these `heads`, which are added in this `order`.
+    pub fn new(settings: &'a Merging, parts: &'a [P], heads: &'a [Head], order: &[usize]) -> Self {
+        let parts = order.iter().map(|&i| &parts[i]).collect();
+        let heads: Vec<&Head> = order.iter().map(|&i| &heads[i]).collect();
+        let ray_sets = ray_sets(&heads);
+        let record = record(&heads, &ray_sets);
+        Self { settings, parts, heads, ray_sets, record }
     }
 
     /// Whether the field is made of a copy of all sums.
     fn gathers_sums(&self) -> bool {
-        let is_part = self.record.is_part() || self.ray_sets.iter().any(RaySet::is_part);
-        self.settings.keep_sums || is_part || self.record.pooling.is_on()
+        let is_part = self.record.is_part_by(&self.ray_sets);
+        self.record.pooling.gathers_sums(is_part, self.settings.keep_sums)
     }
 
     /// What the joined field needs of S.
@@ -49,95 +51,50 @@ impl<'a> Joining<'a> {
     }
 
     /// Adds the parts, one after the other.
-    pub fn join<P: Finish>(&self, parts: &[impl Part]) -> Result<UncertaintyField> {
+    pub fn join<S: Finish>(&self) -> Result<UncertaintyField> {
+        let has_groups = self.settings.error_bars;
         // While a group is added, others may be in memory.
-        let room = self.settings.room / if self.settings.error_bars { 2 } else { 1 };
+        let room = self.settings.room / if has_groups { 2 } else { 1 };
         let overflow = Overflow::new(room, &self.settings.scratch, None);
-        let lattice = self.heads[self.order[0]].lattice;
+        let lattice = self.heads[0].lattice;
         let mut beside = Beside::default();
         // Those of all parts, or of each.
-        let mut sums: Vec<P> = Vec::new();
-        for &i in &self.order {
-            let (support, layers) = parts[i].without_sums()?;
-            beside.add(self, i, &layers)?;
-            if let (true, Support::Octree(octree)) = (self.keeps_leaves(), &*support) {
-                octree.cells().for_each_leaf(|leaf| beside.wanted.push(leaf));
-                beside.wanted.par_sort_unstable_by_key(|cell| (cell.level, cell.index));
-                beside.wanted.dedup();
+        let mut sums: Vec<S> = Vec::new();
+        for (part, head) in self.parts.iter().zip(&self.heads) {
+            let (support, layers) = part.without_sums()?;
+            beside.add(&layers, [self.heads[0], head])?;
+            if self.record.criteria.density || self.record.criteria.uniform {
+                beside.keep_leaves(&support);
             }
-            if sums.is_empty() || self.settings.error_bars {
-                sums.push(P::empty(lattice, &beside.limits(&lattice)));
+            if sums.is_empty() || has_groups {
+                sums.push(S::empty(lattice, &layers.limits(&lattice)));
             }
             let last = sums.len() - 1;
-            self.add(&mut sums[last], &parts[i], i, &support, &overflow)?;
+            add(&mut sums[last], *part, &lattice, &support, &overflow)?;
             let has_left = sums.iter().any(|group| !group.runs().is_empty());
-            if self.settings.error_bars && (has_left || sums.iter().map(P::memory).sum::<usize>() > room) {
+            if has_groups && (has_left || sums.iter().map(S::memory).sum::<usize>() > room) {
                 sums.iter_mut().try_for_each(|group| overflow.spill_to_one(group))?;
             }
         }
-        let whole = if self.settings.error_bars {
-            let mut whole = P::empty(lattice, &beside.limits(&lattice));
-            sums.iter().for_each(|group| whole += group);
-            whole
-        } else {
-            sums.pop().expect("there are parts")
-        };
-        let field = self.field(whole, lattice, beside, &overflow)?;
-        if !self.settings.error_bars {
-            return Ok(field);
+        if !has_groups {
+            let mut whole = sums.pop().expect("there are parts");
+            overflow.spill_rest(&mut whole)?;
+            return self.field(whole, lattice, beside);
         }
-        let rays: Vec<u64> = self.order.iter().map(|&i| self.heads[i].record.rays).collect();
-        field.with_error_bars(&sums, &rays)
-    }
-
-    /// Whether what was refined for reasons other than information stays refined.
-    fn keeps_leaves(&self) -> bool {
-        self.record.criteria.density || self.record.criteria.uniform
-    }
-
-    /// Adds the sums of the part of number `i`.
-    fn add<P: Finish>(
-        &self,
-        to: &mut P,
-        part: &impl Part,
-        i: usize,
-        support: &Support,
-        overflow: &Overflow,
-    ) -> Result<()> {
-        let lattice = self.heads[i].lattice;
-        let mut points: Box<dyn Iterator<Item = [u32; 3]>> = match support {
-            Support::Octree(octree) => Box::new(octree.vertex_positions()),
-            Support::Dense => Box::new((0..support.vertices(&lattice)).map(|v| lattice.dense_point(v as usize))),
-        };
-        let mut count = 0_u64;
-        part.each_sums(support.vertices(&lattice), &mut |sums| {
-            let point = points.next().expect("sums of a field are one per vertex");
-            // Vertices that only balance the octree take no room.
-            if sums != VertexSums::default() {
-                to.add_sums(point, &sums);
-            }
-            count += 1;
-            if count.is_multiple_of(VERTICES_PER_CHECK) { overflow.spill_if_full(to).map(|_| ()) } else { Ok(()) }
-        })?;
-        overflow.spill_if_full(to).map(|_| ())
+        let mut whole = sums[0].clone();
+        sums[1..].iter().for_each(|group| whole += group);
+        let rays: Vec<u64> = self.heads.iter().map(|head| head.record.rays).collect();
+        self.field(whole, lattice, beside)?.with_error_bars(&sums, &rays)
     }
 
     /// The field of all sums.
-    fn field<P: Finish>(
-        &self,
-        mut sums: P,
-        lattice: Lattice,
-        beside: Beside,
-        overflow: &Overflow,
-    ) -> Result<UncertaintyField> {
-        overflow.spill_rest(&mut sums)?;
-        let Beside { layers, most, wanted } = beside;
-        let reading = self.record.reading();
-        let of: Vec<&Head> = self.order.iter().map(|&i| &self.heads[i]).collect();
-        let floor = floor(&of, &self.ray_sets);
-        let vertices = sums.vertices(&Refinement::above(floor, &reading, self.record.criteria, wanted))?;
+    fn field<S: Finish>(&self, sums: S, lattice: Lattice, beside: Beside) -> Result<UncertaintyField> {
+        let Beside { mut layers, most, wanted } = beside;
+        let floor = floor(&self.heads, &self.ray_sets);
+        let refinement = Refinement::above(floor, &self.record.reading(), self.record.criteria, wanted);
+        let vertices = sums.vertices(&refinement)?;
+        drop(refinement);
         let mut field = sums.field(self.record.clone(), lattice, vertices, self.gathers_sums())?;
-        let mut layers = layers.unwrap_or_default();
         if let Some(surface) = &mut layers.surface {
             surface.truncate(most);
         }
@@ -148,10 +105,35 @@ impl<'a> Joining<'a> {
     }
 }
 
+/// Adds the sums of a part, whose vertices are those of `support`.
+fn add(
+    to: &mut impl Finish,
+    part: &impl Part,
+    lattice: &Lattice,
+    support: &Support,
+    overflow: &Overflow,
+) -> Result<()> {
+    let mut points: Box<dyn Iterator<Item = [u32; 3]>> = match support {
+        Support::Octree(octree) => Box::new(octree.vertex_positions()),
+        Support::Dense => Box::new((0..support.vertices(lattice)).map(|v| lattice.dense_point(v as usize))),
+    };
+    let mut count = 0_u64;
+    part.each_sums(support.vertices(lattice), &mut |sums| {
+        let point = points.next().expect("sums of a field are one per vertex");
+        // Vertices that only balance the octree take no room.
+        if sums != VertexSums::default() {
+            to.add_sums(point, &sums);
+        }
+        count += 1;
+        if count.is_multiple_of(VERTICES_PER_CHECK) { overflow.spill_if_full(to).map(|_| ()) } else { Ok(()) }
+    })?;
+    overflow.spill_if_full(to).map(|_| ())
+}
+
 /// What fields have beside their sums.
 #[derive(Default)]
 struct Beside {
-    layers: Option<Layers>,
+    layers: Layers,
     /// Largest number of points on surfaces of a part.
     most: usize,
     /// Cells that must exist regardless of the sums.
@@ -159,28 +141,31 @@ struct Beside {
 }
 
 impl Beside {
-    /// Adds the layers of the part of number `i`.
-    fn add(&mut self, joining: &Joining, i: usize, own: &Layers) -> Result<()> {
-        match &mut self.layers {
-            None => self.layers = Some(own.to_merge()),
-            Some(layers) if layers.limits != own.limits => {
-                let expected = format!("those of {}", joining.heads[joining.order[0]].name);
-                let what = format!("limits to refinement of {}", joining.heads[i].name);
-                return Err(Error::setting(what, expected, "others"));
-            }
-            Some(layers) => layers.merge(own),
+    /// Adds the layers of the next part; these are the heads of the first and of this one.
+    fn add(&mut self, own: &Layers, [first, head]: [&Head; 2]) -> Result<()> {
+        if std::ptr::eq(first, head) {
+            self.layers = own.to_merge();
+        } else if self.layers.limits == own.limits {
+            self.layers.merge(own);
+        } else {
+            let what = format!("limits to refinement of {}", head.name);
+            return Err(Error::setting(what, format!("those of {}", first.name), "others"));
         }
-        self.most = self.most.max(own.surface.as_ref().map_or(0, Vec::len));
-        if let Some(surface) = self.layers.as_mut().and_then(|layers| layers.surface.as_mut()) {
-            surface.truncate(self.most.max(SURFACE_POINTS));
+        let own = own.surface.as_ref().map_or(0, Vec::len);
+        self.most = self.most.max(own);
+        if let Some(surface) = &mut self.layers.surface {
+            surface.truncate(self.most.max(MAX_SURFACE_POINTS));
         }
         Ok(())
     }
 
-    /// Those of all parts.
-    fn limits(&self, lattice: &Lattice) -> MaxLevels {
-        let limits = self.layers.as_ref().and_then(|layers| layers.limits.clone());
-        limits.unwrap_or_else(|| MaxLevels::none(lattice.level()))
+    /// Keeps refined what is.
+    fn keep_leaves(&mut self, support: &Support) {
+        if let Support::Octree(octree) = support {
+            octree.cells().for_each_leaf(|leaf| self.wanted.push(leaf));
+            self.wanted.par_sort_unstable_by_key(|cell| (cell.level, cell.index));
+            self.wanted.dedup();
+        }
     }
 }
 
