@@ -21,12 +21,12 @@
 //! - [`splats`] are the other kind of model: Gaussian splats, their files, their images and how these change.
 //! - [`rays`] draws the training rays and hands on their samples with these Jacobians.
 //! - [`posterior`] spreads the Jacobians over the vertices around each sample, sums them along the ray, squares, and
-//!   sums over rays. It refines the octree where the sums are not negligible. Where rays or memory cannot support the
-//!   finest lattice, [`MaxLevels`](octree::MaxLevels) keep leaves coarser.
+//!   sums over rays. It refines the octree where the sums are not negligible. Where rays cannot support the finest
+//!   lattice, [`MaxLevels`](octree::MaxLevels) keep leaves coarser, if that is asked for.
 //! - [`uncertainty`] computes one standard deviation per vertex from these sums and interpolates it. This is U(x), to
 //!   be stored, queried, compared and merged.
 //! - [`estimate`] runs all of this: an [`Estimation`](estimate::Estimation) holds the settings of a run, and a
-//!   [`Planner`](estimate::Planner) predicts its time, memory and disk space.
+//!   [`Plan`](estimate::Plan) bounds its time, memory and disk space by its first rays.
 //! - [`next_view`] ranks cameras by how much their images, not yet taken, would constrain the displacements.
 //! - [`dataset`] reads camera files, and [`open`] opens a model by its name: a file or a built-in scene.
 //!

@@ -172,11 +172,12 @@ fn a_budget_bounds_the_peak_with_models_of_the_data() {
     assert!(lego > 0.0 && garden > 0.0, "what the test is for");
 }
 
-/// What a run foresees is right within a factor of two, from sparse rays on the finest lattices to dense ones.
+/// What is foreseen of a run is never below what it takes, and at most twice as much: from sparse rays on the finest
+/// lattices to dense ones. Time is not tested, because other work on the machine takes it, too.
 #[test]
 #[cfg(target_os = "linux")]
 #[ignore = "slow: whole runs as processes"]
-fn peak_file_and_disk_are_foreseen_within_a_factor_of_two() {
+fn peak_file_and_disk_are_bounded_by_what_is_foreseen_within_a_factor_of_two() {
     let _alone = ALONE.lock();
     for args in [
         "scene:courtyard --level 16 --rays 1000",
@@ -196,8 +197,8 @@ fn peak_file_and_disk_are_foreseen_within_a_factor_of_two() {
             ("file", expected.file, found.file),
             ("disk", expected.disk, found.disk),
         ] {
-            println!("{args}: {what} {expected} expected, {found} found");
-            let is_right = expected == found || (0.5..=2.0).contains(&(expected / found));
+            println!("{args}: {what} {expected} expected, {found} found, {:.2}", expected / found);
+            let is_right = expected == found || (1.0..=2.0).contains(&(expected / found));
             assert!(is_right, "{args}: {what} {expected} expected, {found} found");
         }
     }

@@ -334,7 +334,7 @@ def uncertainty(
 
 
 def forecast(nerf: Nerf, cameras: Any = None, **arguments: Any) -> dict[str, Any]:
-    """What :func:`uncertainty` with these arguments will need, by a pilot of a few thousand rays.
+    """What :func:`uncertainty` with these arguments will need at most, by the first sixteenth of its rays.
 
     Returns what ``octobayes uncertainty --dry-run --json`` prints, as a dictionary: 'rays', 'vertices', 'peak_bytes',
     'file_bytes', 'seconds' on as many 'threads', and others. Nothing is written. Warns and raises as

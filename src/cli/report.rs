@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::error::printable;
-use crate::estimate::{ErrorBudget, MarchShift, Plan, RayError, SamplingError};
+use crate::estimate::{ErrorBudget, MarchShift, RayError, SamplingError};
 use crate::posterior::{DataScale, Pooling, Scale};
 use crate::rays::Pixels;
 use crate::render::GradientMethod;
@@ -133,46 +133,6 @@ pub fn comparison(c: &Comparison) -> String {
         row("in box", &c.in_box),
         row("surfaces", &c.on_surfaces)
     )
-}
-
-/// Says on stderr what a run is expected to need.
-pub fn plan(plan: &Plan, level: u8) {
-    let memory = |b: f64| bytes(b as usize);
-    let time = plan.time.as_secs_f64();
-    announce!(
-        "plan: level {level}, about {:.2e} vertices, {} the peak of the process, a file of {}, {time:.0} s",
-        plan.vertices,
-        memory(plan.peak()),
-        memory(plan.file)
-    );
-    if plan.disk > 0.0 {
-        announce!("      {} of sums on disk during the run", memory(plan.disk));
-    }
-    given_up(plan).into_iter().for_each(|text| announce!("{text}"));
-}
-
-/// What a plan gives up to stay within its limits, if it does.
-pub fn given_up(plan: &Plan) -> Option<String> {
-    if plan.rays_per_vertex <= 0.0 {
-        return None;
-    }
-    let shares: Vec<String> = plan
-        .given_up
-        .iter()
-        .enumerate()
-        .filter(|(_, share)| **share > 0.0)
-        .map(|(levels, share)| format!("{levels}: {:.1} %", 100.0 * share))
-        .collect();
-    // A larger leaf has the mean over a hat of twice the edge instead of the finest hat's value. H at surfaces
-    // grows about eightfold, which is divided out. What is left is the variation of U within the larger hat.
-    Some(format!(
-        "      leaves that have {:.1} rays a vertex or are {} levels coarser: {:.1} % of vertices given up;\n      \
-         levels given up by share of what rays touch: {}; log10 U is the larger leaf's there",
-        plan.rays_per_vertex,
-        plan.given_up.len() - 1,
-        100.0 * (1.0 - plan.vertices / plan.vertices_unlimited.max(1.0)),
-        shares.join(", ")
-    ))
 }
 
 /// How far log10 U is from its limit, as a table.

@@ -4,12 +4,15 @@ use std::collections::BTreeSet;
 use std::ops::AddAssign;
 use std::path::Path;
 
+use rayon::prelude::*;
+
 use super::checkpoint::{self, RunKey, State};
-use super::{GridKind, GridSettings, Plan};
+use super::coarser::CoarserLeaves;
+use super::{GridKind, GridSettings};
 use crate::geometry::{Domain, Lattice};
 use crate::octree::{Cell, MaxLevels, morton};
 use crate::posterior::overflow::{self, Overflow};
-use crate::posterior::{RayCoverage, Refinement, VertexSums};
+use crate::posterior::{RayCoverage, Refinement, Sums, VertexSums};
 use crate::rays::{RaySet, RayStream, RunProgress, SURFACE_WEIGHT, Shard};
 use crate::render::{RaySamples, VolumeRenderer};
 use crate::uncertainty::{Finish, RunRecord, UncertaintyField};
@@ -67,16 +70,16 @@ pub(super) struct Builder<P> {
 }
 
 impl<P: Finish> Builder<P> {
-    /// Creates a builder without information, on the leaves of a plan, if there is one.
+    /// Creates a builder without information, on leaves that stay coarser where rays are few, if they do.
     ///
     /// # Errors
     /// As [`GridSettings::lattice`].
-    pub fn new(settings: GridSettings, domain: Domain, plan: Option<&Plan>) -> Result<Self> {
+    pub fn new(settings: GridSettings, domain: Domain, coarser: Option<&CoarserLeaves>) -> Result<Self> {
         let lattice = settings.lattice(domain)?;
-        let limits = plan.map_or_else(|| MaxLevels::none(lattice.level()), |plan| plan.limits.clone());
+        let limits = coarser.map_or_else(|| MaxLevels::none(lattice.level()), |coarser| coarser.limits.clone());
         let posterior = P::empty(lattice, &limits);
         let wanted = if settings.criteria.uniform { every_cell(&lattice)? } else { Vec::new() };
-        let rays_per_vertex = plan.map_or(0.0, |plan| plan.rays_per_vertex);
+        let rays_per_vertex = coarser.map_or(0.0, |coarser| coarser.rays_per_vertex);
         Ok(Self {
             settings,
             lattice,
@@ -261,6 +264,19 @@ impl<P: Finish> Builder<P> {
         Ok(progress)
     }
 
+    /// Present size of the sums in memory, bytes.
+    pub fn size(&self) -> usize {
+        self.posterior.memory()
+    }
+
+    /// Number of vertices that have sums in memory, and of those that a single ray touched.
+    pub fn touched(&self) -> [usize; 2] {
+        let slices: Vec<&[P::Sums]> = self.posterior.slices().collect();
+        let is_once = |sums: &&P::Sums| sums.rays() == 1;
+        let once = slices.par_iter().map(|slice| slice.iter().filter(is_once).count()).sum();
+        [slices.iter().map(|slice| slice.len()).sum(), once]
+    }
+
     /// Largest size of the sums in memory so far, bytes.
     pub fn memory(&self) -> usize {
         self.most_memory.max(self.posterior.memory())
@@ -329,6 +345,15 @@ impl<P: Finish> Builder<P> {
         let vertices = self.posterior.vertices(&refinement)?;
         self.wanted = refinement.wanted;
         Ok(vertices)
+    }
+
+    /// Number of vertices of the field of the rays so far.
+    ///
+    /// # Errors
+    /// If sums that left memory cannot be read.
+    pub fn count_vertices(&mut self, source: &FieldSource) -> Result<usize> {
+        let vertices = self.vertices(source)?;
+        Ok(P::count(&self.lattice, &vertices))
     }
 
     /// Computes the field from the rays so far.

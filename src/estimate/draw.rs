@@ -3,9 +3,11 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use super::FieldSource;
 use super::builder::Builder;
 use super::checkpoint::Saver;
 use super::estimation::Estimation;
+use super::plan::{Plan, Planner};
 use crate::rays::{End, RayStream, RunProgress, Shard};
 use crate::uncertainty::Finish;
 use crate::{Error, Result};
@@ -17,6 +19,9 @@ pub(super) struct Part<'r> {
     pub file: Option<&'r Path>,
 }
 
+/// What waits for the plan of a run, and may refuse to go on.
+pub type Foreseen<'f> = &'f mut dyn FnMut(&Plan) -> Result<()>;
+
 /// What was drawn.
 pub(super) struct Drawn {
     pub progress: RunProgress,
@@ -24,8 +29,14 @@ pub(super) struct Drawn {
     pub summing: Duration,
 }
 
-/// Draws the rays of `part` into `builder`, starting after its checkpoint.
-pub(super) fn draw(settings: &mut Estimation, part: &Part, builder: &mut Builder<impl Finish>) -> Result<Drawn> {
+/// Draws the rays of `part` into `builder`, starting after its checkpoint. If it starts with the first ray, a planner
+/// watches, and its plan goes to whoever waits for it.
+pub(super) fn draw(
+    settings: &mut Estimation,
+    part: &Part,
+    builder: &mut Builder<impl Finish>,
+    watch: Option<(Planner, Foreseen)>,
+) -> Result<Drawn> {
     let Part { stream, shard, file } = *part;
     let (is_group, source) = (settings.goal.groups().is_some(), settings.key_source());
     let Estimation { rays, monitor, checkpoint, tap, .. } = settings;
@@ -33,10 +44,16 @@ pub(super) fn draw(settings: &mut Estimation, part: &Part, builder: &mut Builder
     let mut saver = Saver::new(checkpoint.as_ref(), file);
     let from = saver.restore(builder, &key(builder))?;
     let mut summing = Duration::ZERO;
+    let mut watch = watch.filter(|_| from.rays == 0);
     let end = stream.run_until(shard, from, *monitor, |batches, progress| {
         let start = Instant::now();
         let has_spilled = builder.add_within_budget(batches)?;
         summing += start.elapsed();
+        if let Some((planner, foreseen)) = &mut watch
+            && let Some(plan) = planner.watch(builder, &of_rays(part, *progress))?
+        {
+            foreseen(&plan)?;
+        }
         if has_spilled {
             // What is saved now is small, and a resumed run need not write the run of sums again.
             saver.save(builder, || key(builder), *progress)?;
@@ -59,4 +76,9 @@ pub(super) fn draw(settings: &mut Estimation, part: &Part, builder: &mut Builder
             Ok(Drawn { progress, summing })
         }
     }
+}
+
+/// The source of the first rays of a part.
+pub(super) fn of_rays<'r>(part: &Part<'r>, progress: RunProgress) -> FieldSource<'r> {
+    FieldSource { progress, shard: Some(part.shard), stream: Some(part.stream), ..FieldSource::default() }
 }

@@ -34,7 +34,7 @@ pub struct SamplingError {
 impl SamplingError {
     /// From the error bars of two halves.
     fn from_bars(field: &UncertaintyField) -> Self {
-        Self::from_errors(field.errors_of_moved().into_iter().flatten().collect())
+        Self::from_errors(field.errors_of_moved().flatten().collect())
     }
 
     /// From log10 U by two treatments at these vertices.

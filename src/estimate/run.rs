@@ -4,11 +4,13 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use super::builder::Builder;
-use super::draw::{Part, draw};
+use super::coarser::CoarserLeaves;
+use super::draw::{Foreseen, Part, draw, of_rays};
 use super::estimation::{Estimation, Goal};
 use super::mean_error;
+use super::plan::Planner;
 use super::{
-    Audit, CoverageCheck, ErrorBudget, FieldBuilder, FieldSource, GridKind, GridSettings, Plan, Planner, PositionCheck,
+    Audit, CoverageCheck, ErrorBudget, FieldBuilder, FieldSource, GridKind, GridSettings, Plan, PositionCheck,
     RayError, SURFACE_POINTS, StepCheck,
 };
 use crate::geometry::{Lattice, kept_pixels};
@@ -44,17 +46,29 @@ pub struct Run<'a> {
     stream: RayStream<'a>,
     /// Bytes that sums may take in memory, if there is a budget.
     pub(super) room: Option<usize>,
-    /// What the run will need, if leaves stay coarser where rays are few.
-    plan: Option<Plan>,
+    /// The leaves, if some stay coarser where rays are few.
+    coarser: Option<CoarserLeaves>,
     /// Points on visible surfaces, which the field keeps.
     surface: Vec<[f32; 3]>,
+}
+
+/// Calls a method for the kind of posterior of a run.
+macro_rules! on_grid {
+    ($run:expr, $method:ident($($argument:expr),*)) => {{
+        let grid = &$run.settings.grid;
+        match (grid.grid, grid.entries($run.settings.own_shard().of > 1)) {
+            (GridKind::Dense, _) => $run.$method::<DensePosterior>($($argument),*),
+            (GridKind::Octree, Entries::All) => $run.$method::<OctreePosterior>($($argument),*),
+            (GridKind::Octree, Entries::Diagonal) => $run.$method::<OctreePosterior<DiagonalSums>>($($argument),*),
+        }
+    }};
 }
 
 /// Most rays that are traced in search of points on visible surfaces. In a sparse scene most rays miss all matter.
 const MOST_SURFACE_RAYS: u64 = 1 << 16;
 
 impl<'a> Estimation<'a> {
-    /// Prepares everything that precedes the first ray: lattice, occupancy grid, and a plan if rays limit the octree.
+    /// Prepares everything that precedes the first ray: lattice, occupancy grid, and a pilot if rays limit the octree.
     ///
     /// # Errors
     /// If a setting is out of range, settings are incompatible, there is no camera, a checkpoint belongs to another
@@ -81,11 +95,12 @@ impl<'a> Run<'a> {
         let lattice = settings.grid.lattice(settings.domain)?;
         let stream = settings.stream(&settings.rays, &lattice)?;
         let room = settings.grid.memory.map(|budget| room_for_sums(budget, stream.source.memory()));
-        let mut run = Self { settings, lattice, stream, room, plan: None, surface: Vec::new() };
+        let mut run = Self { settings, lattice, stream, room, coarser: None, surface: Vec::new() };
         run.check_budget()?;
         run.overflow(run.files()[0].as_deref()).map_or(Ok(()), |overflow| overflow.check())?;
         if run.settings.grid.is_limited() {
-            run.plan = Some(run.pilot()?.plan());
+            let Estimation { grid, rays, monitor, .. } = &run.settings;
+            run.coarser = Some(CoarserLeaves::new(grid, rays, &run.stream, lattice, *monitor)?);
         }
         Ok(run)
     }
@@ -126,28 +141,48 @@ impl<'a> Run<'a> {
         self.settings.own_shard().own_rays()
     }
 
-    /// Predicts what the run will need: the plan that limits it or, if nothing does, the
-    /// prediction of a pilot of at most 16,384 rays.
+    /// Foresees what the run will take, by its first rays: a sixteenth of them, or 16,384 if that is more, or as many as
+    /// have sums in half of the room of a budget. Of a model whose views have to be prepared, they look through few of the cameras.
     ///
     /// # Errors
     /// As [`RayStream::run`].
     pub fn forecast(&self) -> Result<Plan> {
-        self.plan.as_ref().map_or_else(|| Ok(self.pilot()?.plan()), |plan| Ok(plan.clone()))
+        on_grid!(self, forecast_with())
     }
 
-    fn pilot(&self) -> Result<Planner> {
-        let Estimation { rays, grid, monitor, picture, .. } = &self.settings;
-        let planner = Planner::new(*grid, rays, &self.stream, self.settings.own_shard(), self.lattice, *monitor)?;
-        Ok(planner.with_picture(*picture).with_room(self.room).with_goal(self.settings.goal))
+    fn forecast_with<P: Finish>(&self) -> Result<Plan> {
+        let stream = self.stream.through_few_cameras();
+        let mut planner = self.planner().through(&stream);
+        let mut builder = self.builder::<P>()?;
+        builder.want_density(&stream)?;
+        let (shard, mut plan) = (Shard::whole(planner.first_rays()), None);
+        let part = Part { stream: &stream, shard: self.settings.own_shard(), file: None };
+        let drawn = stream.run(shard, RunProgress::default(), self.settings.monitor, |batches, progress| {
+            builder.add(batches);
+            plan = planner.watch(&mut builder, &of_rays(&part, *progress))?;
+            // As after a request to stop: enough was seen.
+            if plan.is_some() { Err(Error::Interrupted) } else { Ok(()) }
+        });
+        plan.map_or_else(|| drawn.map(|_| Plan::default()), Ok)
     }
 
-    /// The folder of sums that leave memory, and the bytes of those that an interrupted run left there; `None` without
-    /// a budget.
+    /// Watches the run's first rays.
+    fn planner(&self) -> Planner {
+        let Estimation { grid, goal, picture, .. } = &self.settings;
+        Planner::new(*grid, *goal, self.rays(), self.room, *picture).on_leaves(self.coarser.as_ref())
+    }
+
+    /// Whether the plan of the run is known while it draws its first rays. Otherwise these do not stand for the others:
+    /// they all come from the first cameras.
     #[must_use]
-    pub fn scratch(&self) -> Option<(PathBuf, u64)> {
-        let overflows: Vec<Overflow> = self.files().iter().filter_map(|file| self.overflow(file.as_deref())).collect();
-        let folder = overflows.first()?.place().0.to_path_buf();
-        Some((folder, overflows.iter().map(|overflow| overflow.place().1).sum()))
+    pub fn is_foreseen_under_way(&self) -> bool {
+        self.stream.source.marched().is_some() && !matches!(self.settings.goal, Goal::MeanError(_))
+    }
+
+    /// The folder of sums that leave memory; `None` without a budget.
+    #[must_use]
+    pub fn scratch(&self) -> Option<PathBuf> {
+        Some(self.overflow(self.files()[0].as_deref())?.folder().to_path_buf())
     }
 
     /// Bytes that a budget leaves for pictures before the first ray; `None` without a budget.
@@ -201,14 +236,23 @@ impl<'a> Run<'a> {
     /// # Errors
     /// If the field is not finite on too many rays, sums or a checkpoint cannot be read or written, a
     /// [tap](Estimation::tap) fails, or the work was interrupted.
-    pub fn finish(mut self) -> Result<Outcome> {
+    pub fn finish(self) -> Result<Outcome> {
+        self.finish_watched(None)
+    }
+
+    /// As [`Run::finish`]; `foreseen` gets the [plan](Run::forecast) of a run that starts with its first ray, once that
+    /// is known [under way](Run::is_foreseen_under_way), and may refuse to go on.
+    ///
+    /// # Errors
+    /// As [`Run::finish`], or what `foreseen` returns.
+    pub fn finish_foreseen(self, foreseen: Foreseen) -> Result<Outcome> {
+        let is_foreseen = self.is_foreseen_under_way();
+        self.finish_watched(Some(foreseen).filter(|_| is_foreseen))
+    }
+
+    fn finish_watched(mut self, foreseen: Option<Foreseen>) -> Result<Outcome> {
         self.surface = self.surface_points()?;
-        let grid = &self.settings.grid;
-        match (grid.grid, grid.entries(self.settings.own_shard().of > 1)) {
-            (GridKind::Dense, _) => self.finish_with::<DensePosterior>(),
-            (GridKind::Octree, Entries::All) => self.finish_with::<OctreePosterior>(),
-            (GridKind::Octree, Entries::Diagonal) => self.finish_with::<OctreePosterior<DiagonalSums>>(),
-        }
+        on_grid!(self, finish_with(foreseen))
     }
 
     /// Points on visible surfaces, along other rays than those that the field is computed from: U is lower where a ray
@@ -223,21 +267,22 @@ impl<'a> Run<'a> {
         stream.surface_points_where(&is_inside, SURFACE_POINTS, rays.rays.min(MOST_SURFACE_RAYS), *monitor)
     }
 
-    fn finish_with<P: Finish>(self) -> Result<Outcome> {
+    fn finish_with<P: Finish>(self, foreseen: Option<Foreseen>) -> Result<Outcome> {
         match self.settings.goal {
-            Goal::Shard { .. } => self.finish_shard::<P>(),
-            Goal::Groups(groups) => self.finish_groups::<P>(groups),
+            Goal::Shard { .. } => self.finish_shard::<P>(foreseen),
+            Goal::Groups(groups) => self.finish_groups::<P>(groups, foreseen),
             Goal::MeanError(decades) => self.finish_mean_error::<P>(decades),
         }
     }
 
-    fn finish_shard<P: Finish>(mut self) -> Result<Outcome> {
+    fn finish_shard<P: Finish>(mut self, foreseen: Option<Foreseen>) -> Result<Outcome> {
+        let watch = foreseen.map(|foreseen| (self.planner(), foreseen));
         let shard = self.settings.own_shard();
         let files = self.files();
         let mut builder = self.builder::<P>()?.with_overflow(self.overflow(files[0].as_deref()));
         builder.want_density(&self.stream)?;
         let part = Part { stream: &self.stream, shard, file: files[0].as_deref() };
-        let drawn = draw(&mut self.settings, &part, &mut builder)?;
+        let drawn = draw(&mut self.settings, &part, &mut builder, watch)?;
         let start = Instant::now();
         builder.spill_rest()?;
         let (sums_bytes, disk_bytes) = (builder.memory(), builder.disk_bytes());
@@ -251,20 +296,22 @@ impl<'a> Run<'a> {
     ///
     /// (Parts of one low-discrepancy sequence complement each other, so their differences would overstate the error.)
     /// All groups together are slightly less accurate than the same number of rays from one sequence.
-    fn finish_groups<P: Finish>(mut self, count: u16) -> Result<Outcome> {
+    fn finish_groups<P: Finish>(mut self, count: u16, foreseen: Option<Foreseen>) -> Result<Outcome> {
         let (groups, rays) = (u64::from(count), self.settings.rays.rays);
         if groups < 2 || rays < groups {
             let expected = format!("2 to {rays}, the number of rays");
             return Err(Error::setting("groups of rays", expected, groups.to_string()));
         }
         let (mut builders, mut ray_sets) = (Vec::new(), Vec::new());
+        let mut watch = foreseen.map(|foreseen| (self.planner(), foreseen));
         let (mut progress, mut summing) = (Vec::new(), Duration::ZERO);
         for (group, file) in (0..count).zip(self.files()) {
             let mut builder = self.builder::<P>()?.with_overflow(self.overflow(file.as_deref()));
             let stream = self.stream.for_purpose(Purpose::Group(group));
             let shard = Shard::whole(rays / groups + u64::from(u64::from(group) < rays % groups));
             let part = Part { stream: &stream, shard, file: file.as_deref() };
-            let drawn = draw(&mut self.settings, &part, &mut builder)?;
+            // The first group stands for the others.
+            let drawn = draw(&mut self.settings, &part, &mut builder, watch.take())?;
             progress.push(drawn.progress);
             summing += drawn.summing;
             ray_sets.push(stream.ray_set(shard));
@@ -308,7 +355,7 @@ impl<'a> Run<'a> {
     /// All fields cover the run's domain. The run's own grid determines how rays are differentiated.
     ///
     /// # Errors
-    /// As [`Run::finish`], or if the run's goal is not all rays in one group, or a grid needs a plan.
+    /// As [`Run::finish`], or if the run's goal is not all rays in one group, or a grid needs a pilot.
     pub fn finish_on(mut self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
         let Estimation { goal, checkpoint, domain, .. } = &self.settings;
         let is_limited = checkpoint.is_some() || grids.iter().any(|grid| grid.is_limited() || grid.memory.is_some());
@@ -342,9 +389,9 @@ impl<'a> Run<'a> {
         builders.into_iter().map(outcome).collect()
     }
 
-    /// Creates a builder on the plan's leaves.
+    /// Creates a builder on the run's leaves.
     fn builder<P: Finish>(&self) -> Result<Builder<P>> {
-        Builder::new(self.settings.grid, self.settings.domain, self.plan.as_ref())
+        Builder::new(self.settings.grid, self.settings.domain, self.coarser.as_ref())
     }
 
     /// Where sums go that the budget has no room for, if there is one. The run's state is kept in `file`.

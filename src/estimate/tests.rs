@@ -1,6 +1,7 @@
 //! The whole pipeline on small scenes.
 
 mod entries;
+mod foreseen;
 mod overflow;
 mod pooling;
 mod splats;

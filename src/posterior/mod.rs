@@ -30,7 +30,7 @@ pub(crate) use deviations::Reading;
 pub use deviations::Support;
 pub(crate) use deviations::{LocalSums, comparable, deviations};
 pub use octree::{Criteria, Criterion, OctreePosterior};
-pub(crate) use octree::{Needs, Refinement, SpeciesEstimate, list_bytes};
+pub(crate) use octree::{Refinement, Touches, spare_bytes};
 pub use pooling::Pooling;
 pub use scale::{DataScale, Scale};
 pub(crate) use sums::{DiagonalSums, Entries};

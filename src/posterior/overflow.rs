@@ -22,7 +22,7 @@ pub const MOST_RUNS: usize = 64;
 /// What the extension of a run's file begins with.
 const RUN: &str = "run";
 /// Samples that are summed before the room is looked at.
-const SAMPLES: usize = 1 << 16;
+pub const SAMPLES: usize = 1 << 16;
 
 /// Bytes of a budget that sums may take, beside a model of so many bytes. They depend on nothing else, so that runs of
 /// sums end after the same rays on every machine.
@@ -96,12 +96,11 @@ impl Overflow {
         }
     }
 
-    /// The folder of its files, and the bytes of those that a checkpoint left there.
-    pub fn place(&self) -> (&Path, u64) {
-        let beside = |file| runs_beside(file).filter_map(|(_, path)| Some(path.metadata().ok()?.len())).sum();
+    /// The folder of its files.
+    pub fn folder(&self) -> &Path {
         match &self.place {
-            Place::Temporary(folder) => (folder, 0),
-            Place::Beside(checkpoint) => (folder_of(checkpoint), beside(checkpoint)),
+            Place::Temporary(folder) => folder,
+            Place::Beside(checkpoint) => folder_of(checkpoint),
         }
     }
 

@@ -33,17 +33,6 @@ pub enum Entries {
 }
 
 impl Entries {
-    /// Bytes of the sums of a vertex.
-    #[must_use]
-    pub fn vertex_bytes(self) -> usize {
-        match self {
-            Self::All => size_of::<VertexSums>(),
-            Self::Diagonal => size_of::<DiagonalSums>(),
-        }
-    }
-}
-
-impl Entries {
     /// Bytes of these sums in a file.
     #[must_use]
     pub fn record_bytes(self) -> usize {

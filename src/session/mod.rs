@@ -37,6 +37,8 @@ pub use candidates::Candidates;
 pub use flags::in_flags;
 pub use model::OpenedModel;
 pub use needs::Needs;
+#[cfg(feature = "cli")]
+pub(crate) use needs::given_up;
 pub use purpose::{Choices, Purpose};
 #[cfg(feature = "cli")]
 pub(crate) use report::PERCENTS;

@@ -1,27 +1,114 @@
 //! What a run will need, before its first ray.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::Prepared;
 use super::memory::{available, bytes};
-use crate::estimate::{ErrorBudget, Plan, Planner};
+use crate::estimate::{ErrorBudget, GridSettings, Plan, Run};
 use crate::io::memory::resident;
+use crate::monitor::Message;
 use crate::{Error, Result};
 
 /// Report the size of a file before the run if it has more bytes than this.
 const LARGE_FILE: f64 = 5e7;
 
-/// Refuses a folder with less room than sums on disk will take.
+/// How many times the peak of a run its bound may be: what was found, rounded up.
+const LOOSEST: f64 = 2.5;
+/// Report what a run takes if it has at least so many rays.
+const MANY_RAYS: u64 = 1 << 19;
+
+/// What waits for a run's plan: it refuses what there is no room for, and notes what a large run takes.
+pub(super) struct Foresight {
+    /// Finest level and number of rays.
+    level: u8,
+    rays: u64,
+    is_bound: bool,
+    /// The folder of sums on disk, if there is a budget.
+    scratch: Option<PathBuf>,
+}
+
+impl Foresight {
+    pub fn of(run: &Run, grid: &GridSettings) -> Self {
+        Self { level: grid.level, rays: run.rays(), is_bound: grid.memory.is_some(), scratch: run.scratch() }
+    }
+
+    /// Looks at the plan.
+    ///
+    /// # Errors
+    /// If the run takes more memory than there is, or may take more disk space.
+    pub fn check(&self, plan: &Plan, tell: &mut dyn FnMut(Message)) -> Result<()> {
+        let left = available().zip(resident()).map(|(available, resident)| (available + resident) as f64);
+        if let Some(left) = left.filter(|left| plan.peak() > *left) {
+            self.check_memory(plan.peak(), left, tell)?;
+        }
+        let free = self.scratch.as_ref().and_then(|folder| Some((folder, fs4::available_space(folder).ok()?)));
+        if let Some((folder, free)) = free {
+            check_space(folder, plan.disk, free)?;
+        }
+        if self.rays >= MANY_RAYS || plan.rays_per_vertex > 0.0 || plan.file > LARGE_FILE {
+            tell(Message::Note(described(plan, self.level)));
+        }
+        Ok(())
+    }
+
+    /// Refuses a run whose peak exceeds what is left, or warns if it only may.
+    fn check_memory(&self, peak: f64, left: f64, tell: &mut dyn FnMut(Message)) -> Result<()> {
+        let bound = if self.is_bound { "" } else { "--memory bounds it, " };
+        let expected = format!(
+            "up to {}, the peak of the process by the run's first rays; {bound}a lower --level or --refine ray-count \
+             need less",
+            bytes(peak as usize)
+        );
+        let found = format!("{} free", bytes(left as usize));
+        if peak > LOOSEST * left {
+            return Err(Error::setting("memory", expected, found));
+        }
+        tell(Message::Warning(format!("the run may need more memory than there is: {expected}; {found}")));
+        Ok(())
+    }
+}
+
+/// Refuses a folder with less room than sums on disk may take.
 fn check_space(folder: &Path, needed: f64, free: u64) -> Result<()> {
     if needed <= free as f64 {
         return Ok(());
     }
     let expected = format!(
-        "{} for sums on disk by a pilot of the run; a larger --memory needs less, --scratch or --checkpoint choose \
-         another folder",
+        "up to {} for sums on disk by the run's first rays; a larger --memory needs less, --scratch or --checkpoint \
+         choose another folder",
         bytes(needed as usize)
     );
     Err(Error::setting(format!("folder {}", folder.display()), expected, format!("{} free", bytes(free as usize))))
+}
+
+/// What a run takes, in words.
+fn described(plan: &Plan, level: u8) -> String {
+    let [peak, file, disk] = [plan.peak(), plan.file, plan.disk].map(|size| bytes(size as usize));
+    let disk = if plan.disk > 0.0 { format!(", {disk} of sums on disk during the run") } else { String::new() };
+    let given_up = given_up(plan).map_or(String::new(), |text| format!("; {text}"));
+    format!(
+        "by its first rays, level {level} takes at most {:.2e} vertices, {peak} at the peak of the process, a file of \
+         {file}{disk}, and {:.0} s{given_up}",
+        plan.vertices,
+        plan.time.as_secs_f64().ceil()
+    )
+}
+
+/// What leaves give up where rays are few, in words, if they do.
+pub fn given_up(plan: &Plan) -> Option<String> {
+    let share = |(levels, share): (usize, &f64)| format!("{levels}: {:.1} %", 100.0 * share);
+    let shares = plan.given_up.iter().enumerate().filter(|(_, share)| **share > 0.0);
+    let shares: Vec<String> = shares.map(share).collect();
+    // A larger leaf has the mean over a hat of twice the edge instead of the finest hat's value. H at surfaces grows
+    // about eightfold, which is divided out. What is left is the variation of U within the larger hat.
+    (plan.rays_per_vertex > 0.0).then(|| {
+        format!(
+            "leaves have {:.1} rays a vertex or are {} levels coarser; levels given up by share of what rays touch: {}",
+            plan.rays_per_vertex,
+            plan.given_up.len().saturating_sub(1),
+            shares.join(", ")
+        )
+    })
 }
 
 /// What a run will need.
@@ -54,14 +141,14 @@ pub struct Needs {
 }
 
 impl Prepared<'_> {
-    /// What the run will need, by a pilot of a few thousand rays.
+    /// What the run will need at most, by its first rays.
     ///
     /// # Errors
     /// As [`Run::forecast`](crate::estimate::Run::forecast).
     pub fn needs(&self) -> Result<Needs> {
+        let before = self.start.elapsed();
         let plan = self.run.forecast()?;
-        // The pilot's time belongs to the run as well, which makes one of its own.
-        let seconds = (plan.time + self.start.elapsed()).as_secs_f64();
+        let seconds = (plan.time + before).as_secs_f64();
         Ok(Needs {
             rays: self.run.rays(),
             level: self.grid.level,
@@ -76,39 +163,6 @@ impl Prepared<'_> {
             plan,
         })
     }
-
-    /// Predicts what the run will need, if it is long, has limits or makes a large file.
-    ///
-    /// # Errors
-    /// If that is more memory or disk space than there is, or as [`Prepared::needs`].
-    pub fn forecast(&self) -> Result<Option<Plan>> {
-        if !self.has_fixed_rays() {
-            return Ok(None);
-        }
-        let plan = match self.run.forecast() {
-            // Of the few rays of a pilot, too many may be at fault by chance; the run will count them.
-            Err(Error::NonFinite { .. }) => return Ok(None),
-            plan => plan?,
-        };
-        let left = available().zip(resident()).map(|(available, resident)| (available + resident) as f64);
-        if let Some(left) = left.filter(|left| plan.peak() > *left) {
-            let bound = if self.grid.memory.is_none() { "--memory bounds it, " } else { "" };
-            let expected = format!(
-                "{}, the peak of the process by a pilot of the run; {bound}a lower --level or --refine ray-count need \
-                 less",
-                bytes(plan.peak() as usize)
-            );
-            return Err(Error::setting("memory", expected, format!("{} free", bytes(left as usize))));
-        }
-        if let Some((folder, taken)) = self.run.scratch()
-            && let Ok(free) = fs4::available_space(&folder)
-        {
-            check_space(&folder, plan.disk, free + taken)?;
-        }
-        let is_notable =
-            self.grid.is_limited() || self.run.rays() >= Planner::CHEAP * Planner::PILOT || plan.file > LARGE_FILE;
-        Ok(is_notable.then_some(plan))
-    }
 }
 
 #[cfg(test)]
@@ -116,11 +170,25 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_run_is_refused_if_it_takes_more_memory_than_there_is_and_warned_of_if_it_may() {
+        let foresight = Foresight { level: 9, rays: 1000, is_bound: false, scratch: None };
+        let check = |peak: f64| {
+            let mut said = Vec::new();
+            let result = foresight.check_memory(peak, 1e9, &mut |message| said.push(message.to_string()));
+            (result.err().map(|error| error.to_string()), said.concat())
+        };
+        let (error, said) = check(2e9);
+        assert!(error.is_none() && ["2.00 GB", "1.00 GB free", "--memory"].iter().all(|part| said.contains(part)));
+        let (error, said) = check(3e9);
+        assert!(said.is_empty() && error.is_some_and(|error| error.contains("3.00 GB")));
+    }
+
+    #[test]
     fn a_folder_with_too_little_room_is_refused_before_the_run() {
         let folder = Path::new("scratch");
         assert!(check_space(folder, 4.7e9, 4_700_000_000).is_ok() && check_space(folder, 0.0, 0).is_ok());
         let error = check_space(folder, 4.7e9, 1_200_000_000).unwrap_err().to_string();
-        for part in ["folder scratch", "4.70 GB", "1.20 GB free", "--scratch", "--memory"] {
+        for part in ["folder scratch", "up to 4.70 GB", "1.20 GB free", "--scratch", "--memory"] {
             assert!(error.contains(part), "{error}");
         }
     }

@@ -7,6 +7,7 @@ use std::time::Instant;
 use glam::Vec3;
 
 use super::memory::{bytes, peak};
+use super::needs::Foresight;
 use super::training_args::TrainingArgs;
 use super::{Choices, Finished, Purpose, TrainingPixels, checks, world};
 use crate::dataset::{Frame, Views, memory_of_masks, read_masks};
@@ -334,12 +335,6 @@ impl Prepared<'_> {
         images.compare(&*renderer, settings.offset_for(self.model), self.run.lattice(), self.monitor).map(Some)
     }
 
-    /// The finest level.
-    #[must_use]
-    pub fn level(&self) -> u8 {
-        self.grid.level
-    }
-
     /// Whether the number of rays is known beforehand.
     pub(super) fn has_fixed_rays(&self) -> bool {
         !matches!(self.session.goal, Goal::MeanError(_))
@@ -357,13 +352,18 @@ impl Prepared<'_> {
     pub fn finish(self, tell: &mut dyn FnMut(Message)) -> Result<Finished> {
         // Before the rays, so that a wrong image ends the work at once.
         let compared = self.compared()?;
+        let (has_fixed_rays, of_run) = (self.has_fixed_rays(), self.grid);
         let Self { session, model, monitor, run, start, step, audit, images, .. } = self;
         let (rays, grid) = (run.rays(), &session.grid);
         let could_pool = session.rays.pixels != Pixels::Every && model.lacks(Feature::Pooling).is_none();
         if session.checkpoint.as_ref().is_some_and(|checkpoint| !checkpoint.is_restart()) {
             session.note_progress(rays, "--restart discards them", tell);
         }
-        let outcome = run.finish().inspect_err(|error| {
+        let foresight = Foresight::of(&run, &of_run);
+        if !run.is_foreseen_under_way() && grid.memory.is_some() && has_fixed_rays {
+            foresight.check(&run.forecast()?, tell)?;
+        }
+        let outcome = run.finish_foreseen(&mut |plan| foresight.check(plan, tell)).inspect_err(|error| {
             if matches!(error, Error::Interrupted) {
                 session.note_progress(rays, "the same command goes on", tell);
             }

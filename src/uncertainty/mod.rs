@@ -75,17 +75,28 @@ pub(crate) trait Finish: Posterior + Clone {
         at: Self::Vertices,
         gathers_sums: bool,
     ) -> Result<UncertaintyField>;
+
+    /// Number of these vertices.
+    fn count(lattice: &Lattice, at: &Self::Vertices) -> usize;
 }
 
 impl Finish for DensePosterior {
     fn field(self, record: RunRecord, lattice: Lattice, (): (), _gathers_sums: bool) -> Result<UncertaintyField> {
         Ok(UncertaintyField::new(record, lattice, Support::Dense, self.into_sums()))
     }
+
+    fn count(lattice: &Lattice, (): &()) -> usize {
+        lattice.dense_vertices() as usize
+    }
 }
 
 impl<S: Sums> Finish for OctreePosterior<S> {
     fn field(self, record: RunRecord, lattice: Lattice, at: Octree, gathers_sums: bool) -> Result<UncertaintyField> {
         UncertaintyField::on_octree(record, lattice, self, at, gathers_sums)
+    }
+
+    fn count(_lattice: &Lattice, at: &Octree) -> usize {
+        at.vertex_count()
     }
 }
 

@@ -127,7 +127,7 @@ fn a_dry_run_tells_what_the_run_takes_and_writes_nothing() {
     let dry = |more: &[&str]| desk.good(&[&["uncertainty", "--dry-run"], &run[..], more].concat());
     let needs: Value = serde_json::from_str(&dry(&["--json", "-o", "field.oct"])).unwrap();
     let text = dry(&[]);
-    assert!(text.starts_with("run     level 5, 60000 rays, about ") && text.contains("a file of"), "{text}");
+    assert!(text.starts_with("run     level 5, 60000 rays, at most ") && text.contains("a file of"), "{text}");
     assert_eq!(desk.files(), before);
     assert!(needs["rays"] == 60_000 && needs["level"] == 5, "{needs}");
     // Batches of 512 rays are dealt out.
@@ -138,12 +138,14 @@ fn a_dry_run_tells_what_the_run_takes_and_writes_nothing() {
         serde_json::from_str(&desk.good(&[&["uncertainty", "--json", "-o", "field.oct"], &run[..]].concat())).unwrap();
     let size = std::fs::metadata(desk.path("field.oct")).unwrap().len() as f64;
     let number = |value: &Value| value.as_f64().unwrap();
-    for (expected, found) in [
-        (number(&needs["vertices"]), number(&done["summary"]["vertices"])),
-        (number(&needs["file_bytes"]), size),
-        (number(&needs["peak_bytes"]), number(&done["peak_bytes"])),
+    // Every peak is foreseen with 18 MB more, as some scenes take.
+    for (expected, found, reserve) in [
+        (number(&needs["vertices"]), number(&done["summary"]["vertices"]), 0.0),
+        (number(&needs["file_bytes"]), size, 0.0),
+        (number(&needs["peak_bytes"]), number(&done["peak_bytes"]), 18e6),
     ] {
-        assert!((0.7..1.5).contains(&(expected / found)), "expected {expected}, found {found}");
+        let is_bound = (found..1.5 * found + reserve).contains(&expected);
+        assert!(is_bound, "at most {expected}, found {found}");
     }
 }
 

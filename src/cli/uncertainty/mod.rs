@@ -23,7 +23,7 @@ use crate::io::place::folder_of;
 use crate::posterior::Criterion;
 use crate::rays::{Pixels, SamplesReader};
 use crate::render::{GradientMethod, Occupancy};
-use crate::session::{Needs, OpenedModel, Session};
+use crate::session::{Needs, OpenedModel, Session, given_up};
 use crate::splats::RenderMode;
 
 /// Compute the uncertainty of a trained field from its training cameras
@@ -189,7 +189,7 @@ pub struct Args {
     #[arg(short, long, value_name = "FIELD.oct", required_unless_present = "dry_run", help_heading = heading::OUTPUT)]
     output: Option<PathBuf>,
 
-    /// Predict time, memory and disk space from a few thousand rays, and write nothing
+    /// Foresee time, memory and disk space by the first sixteenth of the rays, and write nothing
     #[arg(long, conflicts_with = "dump_samples", help_heading = heading::OUTPUT)]
     dry_run: bool,
 
@@ -300,9 +300,6 @@ impl Args {
         let Some(output) = self.output.as_ref().filter(|_| !self.dry_run) else {
             return self.print(&prepared.needs()?);
         };
-        if let Some(plan) = prepared.forecast()? {
-            report::plan(&plan, prepared.level());
-        }
         let finished = prepared.finish(&mut tell)?;
         finished.save(output)?;
         report::finished(&finished, self.json)
@@ -335,8 +332,8 @@ impl Args {
             return say!("{}", serde_json::json!(needs));
         }
         let Needs { rays, level, threads, plan, errors, .. } = needs;
-        say!("run     level {level}, {rays} rays, about {:.2e} vertices", plan.vertices)?;
-        report::given_up(plan).map_or(Ok(()), |given_up| say!("{given_up}"))?;
+        say!("run     level {level}, {rays} rays, at most {:.2e} vertices", plan.vertices)?;
+        given_up(plan).map_or(Ok(()), |text| say!("        {text}"))?;
         let [peak, file] = [plan.peak(), plan.file].map(|size| report::bytes(size as usize));
         say!("        {peak} of memory, {:.0} s on {threads} threads, a file of {file}", needs.seconds.ceil())?;
         if plan.disk > 0.0 {

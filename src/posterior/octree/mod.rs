@@ -14,7 +14,6 @@
 //! one list per partition ([key]). Then the partitions add their lists in parallel, each in ray order. Every sum
 //! therefore receives its contributions in ray order, whatever the number of threads.
 
-mod census;
 mod key;
 mod pages;
 mod pilot_counts;
@@ -23,11 +22,13 @@ mod runs;
 mod scattered;
 mod sparse;
 mod squares;
+mod touches;
 mod walk;
 
-pub use census::{Needs, SpeciesEstimate};
 pub use refine::{Criteria, Criterion, Refinement};
 pub(super) use refine::{VERTICES_AT_ONCE, each_vertex};
+pub use sparse::spare_bytes;
+pub use touches::Touches;
 
 use std::ops::{AddAssign, Range};
 use std::sync::Arc;
@@ -40,8 +41,7 @@ use scattered::Scattered;
 use sparse::SparseSums;
 use walk::LeafWalk;
 
-use super::sums::DiagonalSums;
-use super::{Entries, Fill, Posterior, Sums, Support, VertexSums};
+use super::{Fill, Posterior, Sums, Support, VertexSums};
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::io::sorted::SortedFile;
@@ -50,16 +50,6 @@ use crate::render::RaySamples;
 
 /// Lists of contributions that each thread has at once.
 const AT_ONCE: usize = 2;
-
-/// Bytes of the contributions that are under way at once, if `longest` come from a batch of rays at most.
-#[must_use]
-pub fn list_bytes(entries: Entries, longest: usize) -> usize {
-    let contribution = match entries {
-        Entries::All => size_of::<key::Contribution<<VertexSums as Sums>::Square>>(),
-        Entries::Diagonal => size_of::<key::Contribution<<DiagonalSums as Sums>::Square>>(),
-    };
-    AT_ONCE * rayon::current_num_threads() * longest * contribution
-}
 
 /// Information summed at sparse vertices: all of it, or what `S` has of it.
 #[derive(Debug, Clone)]

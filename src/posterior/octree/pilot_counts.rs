@@ -1,9 +1,8 @@
-//! Extrapolates from a few rays to many: how many vertices a run will touch, and how many rays each will get.
+//! Extrapolates from a few rays to many: how many rays each vertex of a region will get.
 //!
-//! Letters, for the vertices of one region on leaves of one size, and P pilot rays: `t` touches (one ray at one
-//! vertex), `d` distinct vertices, `f1` and `f2` those touched once and twice. Chao's lower bound (Chao 1984), an
-//! estimator of unseen species, gives the number of vertices that can be touched at all: V = d + f1 (f1 − 1) /
-//! (2 (f2 + 1)). R rays touch V (1 − exp(−t R / (P V))) of them.
+//! Letters, for the vertices of one region on leaves of one size: `t` touches (one ray at one vertex), `d` distinct
+//! vertices, `f1` and `f2` those touched once and twice. Chao's lower bound (Chao 1984), an estimator of unseen species,
+//! gives the number of vertices that can be touched at all: V = d + f1 (f1 − 1) / (2 (f2 + 1)).
 //!
 //! The bound is loose where hardly a vertex was touched twice, because leaves are much finer than the distance between
 //! the pilot's rays. There the next coarser leaves give a better estimate, and surfaces have a quarter of their
@@ -20,26 +19,21 @@ const SIZES: usize = DEPTH as usize + 1;
 
 /// Counts in one region.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Counts {
+struct Counts {
     touches: f64,
-    pub distinct: f64,
+    distinct: f64,
     once: f64,
     twice: f64,
 }
 
 impl Counts {
-    /// One species that `rays` rays touched.
-    pub fn of(rays: u32) -> Self {
+    /// Adds a vertex that `rays` rays touched.
+    fn add(&mut self, rays: u32) {
         let is = |n: u32| f64::from(u8::from(rays == n));
-        Self { touches: f64::from(rays), distinct: 1.0, once: is(1), twice: is(2) }
-    }
-
-    pub fn add(mut self, other: Self) -> Self {
-        self.touches += other.touches;
-        self.distinct += other.distinct;
-        self.once += other.once;
-        self.twice += other.twice;
-        self
+        self.touches += f64::from(rays);
+        self.distinct += 1.0;
+        self.once += is(1);
+        self.twice += is(2);
     }
 
     /// The vertices that rays can touch, V.
@@ -50,12 +44,6 @@ impl Counts {
     /// Good and Turing's estimate of the share of touches at vertices that were touched before.
     fn coverage(&self) -> f64 {
         1.0 - self.once / self.touches.max(1.0)
-    }
-
-    /// Number of vertices that `scale` times the pilot's rays touch.
-    pub fn vertices(&self, scale: f64) -> f64 {
-        let all = self.all();
-        -all * (-self.touches * scale / all).exp_m1()
     }
 }
 
@@ -69,8 +57,8 @@ struct Evidence {
 }
 
 impl Evidence {
-    /// From counts by coarseness, each with its weight.
-    fn new(counts: &[Counts; SIZES], weights: &[f64; SIZES]) -> Self {
+    /// From counts by coarseness.
+    fn new(counts: &[Counts; SIZES]) -> Self {
         let mut rays_per_vertex = [0.0; SIZES];
         let mut coarser: Option<f64> = None;
         for size in (0..SIZES).rev() {
@@ -78,13 +66,13 @@ impl Evidence {
             if counted.distinct == 0.0 {
                 continue;
             }
-            let all = weights[size] * counted.all();
+            let all = counted.all();
             let all =
                 coarser.filter(|_| counted.coverage() < MIN_COVERAGE).map_or(all, |coarser| all.max(4.0 * coarser));
-            rays_per_vertex[size] = (weights[size] * counted.touches / all) as f32;
+            rays_per_vertex[size] = (counted.touches / all) as f32;
             coarser = Some(all);
         }
-        Self { touches: weights[0] * counts[0].touches, rays_per_vertex }
+        Self { touches: counts[0].touches, rays_per_vertex }
     }
 }
 
@@ -97,23 +85,20 @@ pub struct PilotCounts {
 
 impl PilotCounts {
     /// Sorts vertices by region. `touched` holds, from the finest leaves to the coarsest, the vertices of their
-    /// lattices, Morton codes with their numbers of rays, and how many vertices each of them stands for.
+    /// lattices: Morton codes with their numbers of rays.
     #[must_use]
-    pub fn new<T: IntoIterator<Item = (u64, u32)>>(finest: u8, touched: impl IntoIterator<Item = (T, f64)>) -> Self {
+    pub fn new<T: IntoIterator<Item = (u64, u32)>>(finest: u8, touched: impl IntoIterator<Item = T>) -> Self {
         let limits = MaxLevels::none(finest);
         let mut counts = FxHashMap::<u64, [Counts; SIZES]>::default();
-        let mut weights = [1.0; SIZES];
-        for (size, (touched, weight)) in touched.into_iter().take(SIZES).enumerate() {
-            weights[size] = weight;
+        for (size, touched) in touched.into_iter().take(SIZES).enumerate() {
             for (vertex, rays) in touched {
                 let point = morton::decode(vertex).map(|i| i << size);
                 let cell = cells_around(point, finest).next().unwrap_or_default();
                 // These are sums of integers, so their order does not matter.
-                let entry = &mut counts.entry(limits.region_of(cell)).or_default()[size];
-                *entry = entry.add(Counts::of(rays));
+                counts.entry(limits.region_of(cell)).or_default()[size].add(rays);
             }
         }
-        let regions = counts.iter().map(|(&region, counts)| (region, Evidence::new(counts, &weights))).collect();
+        let regions = counts.iter().map(|(&region, counts)| (region, Evidence::new(counts))).collect();
         Self { finest, regions }
     }
 
@@ -151,28 +136,6 @@ mod tests {
 
     use super::*;
 
-    /// Counts of `touches` rays that each touch one of `vertices` at random.
-    fn counts(seed: u64, touches: u64, vertices: u64) -> Counts {
-        let mut rays = vec![0_u32; vertices as usize];
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        (0..touches).for_each(|_| rays[rng.random_range(0..vertices as usize)] += 1);
-        let number = |n: u32| rays.iter().filter(|&&r| r == n).count() as f64;
-        Counts { touches: touches as f64, distinct: vertices as f64 - number(0), once: number(1), twice: number(2) }
-    }
-
-    #[test]
-    fn a_few_rays_predict_how_many_vertices_many_rays_touch() {
-        // A pilot sees a tenth of 10,000 vertices, some 45 of them twice: Chao's estimate has a standard error of 14 %,
-        // and the mean of 16 of them one of 3.6 %, beside a bias of some 2 %. The bound is three errors and that.
-        let pilots: Vec<Counts> = (0..16).map(|seed| counts(seed, 1000, 10_000)).collect();
-        assert!(pilots.iter().all(|pilot| pilot.distinct < 1000.0));
-        for scale in [1_u64, 10, 100] {
-            let found = pilots.iter().map(|pilot| pilot.vertices(scale as f64)).sum::<f64>() / 16.0;
-            let truth = counts(16, 1000 * scale, 10_000).distinct;
-            assert!((found / truth - 1.0).abs() < 0.13, "scale {scale}: {found} expected, {truth} touched");
-        }
-    }
-
     /// Rays that meet a surface of side² vertices on the finest leaves of one region, at random; each touches one
     /// vertex on leaves of any size.
     fn on_a_surface(finest: u8, rays: u32) -> PilotCounts {
@@ -185,7 +148,7 @@ mod tests {
             for point in &points {
                 *all.entry(morton::encode(point.map(|i| (i - 1) >> size))).or_default() += 1;
             }
-            (all, 1.0)
+            all
         });
         PilotCounts::new(finest, touched)
     }

@@ -46,15 +46,9 @@ impl Slots {
     }
 }
 
-/// Bytes of a brick.
-pub const BRICK_BYTES: f64 = size_of::<Slots>() as f64;
-/// Expected bytes of its part of the table of blocks, which have two to four bricks.
-pub const BLOCK_BYTES: f64 = 20.0;
-
-/// Expected bytes that are not used yet beside those of so many sums and bricks.
-pub fn spare_bytes(sums: f64, bricks: f64) -> f64 {
-    let of_partition = [sums, bricks].map(|count| expected_spare((count / PARTITIONS as f64) as usize));
-    (PARTITIONS * of_partition.iter().sum::<usize>()) as f64
+/// Expected bytes that are not used yet beside those of so many sums, and of as many bricks at most.
+pub fn spare_bytes(sums: f64) -> f64 {
+    (2 * PARTITIONS * expected_spare((sums / PARTITIONS as f64) as usize)) as f64
 }
 
 /// Number of contributions whose slots are looked up before the first of them is added.
