@@ -135,7 +135,7 @@ impl<P: Finish> Builder<P> {
         self.posterior.runs().iter().map(|run| run.bytes()).sum()
     }
 
-    /// Adds refinement where there is density, if the settings ask for it.
+    /// Adds refinement where there is density, if the settings ask for it and no other cells are refined already.
     ///
     /// The refined cells are those cells of the stream's occupancy grid in which a finest cell may
     /// have an optical depth above 0.01.
@@ -143,7 +143,7 @@ impl<P: Finish> Builder<P> {
     /// # Errors
     /// If there is no occupancy grid, or the number of cells exceeds what memory can hold.
     pub fn want_density(&mut self, stream: &RayStream) -> Result<()> {
-        if !self.settings.criteria.density {
+        if !self.settings.criteria.density || !self.wanted.is_empty() {
             return Ok(());
         }
         let Some(VolumeRenderer { tracer, .. }) = stream.source.marched() else {

@@ -19,7 +19,7 @@ pub(super) struct Part<'r> {
     pub file: Option<&'r Path>,
 }
 
-/// What waits for the plan of a run, and may refuse to go on.
+/// Receives the plan of a run. Its error ends the run.
 pub type Foreseen<'f> = &'f mut dyn FnMut(&Plan) -> Result<()>;
 
 /// What was drawn.
@@ -29,8 +29,8 @@ pub(super) struct Drawn {
     pub summing: Duration,
 }
 
-/// Draws the rays of `part` into `builder`, starting after its checkpoint. If it starts with the first ray, a planner
-/// watches, and its plan goes to whoever waits for it.
+/// Draws the rays of `part` into `builder`, starting after its checkpoint. If that is before the first ray, the planner
+/// of `watch` looks at the first rays.
 pub(super) fn draw(
     settings: &mut Estimation,
     part: &Part,

@@ -56,14 +56,22 @@ impl Goal {
         }
     }
 
+    /// Number of sets of rays that have sums of their own.
+    pub(super) fn sets_of_rays(self) -> u16 {
+        match self {
+            Self::Shard { .. } => 1,
+            Self::Groups(groups) => groups,
+            Self::MeanError(_) => 2,
+        }
+    }
+
     /// Number of sets of sums that are in memory at once, if none leaves it.
     pub(super) fn sets_of_sums(self, pooling: Pooling) -> u16 {
         match self {
-            Self::Shard { .. } => 1,
             Self::Groups(groups) => groups.saturating_add(1),
             // Error bars of pooled halves are made of a copy of both, and of their sum.
             Self::MeanError(_) if pooling.is_on() => 5,
-            Self::MeanError(_) => 2,
+            _ => self.sets_of_rays(),
         }
     }
 }

@@ -14,6 +14,7 @@ mod error_budget;
 mod estimation;
 mod facts;
 mod field_builder;
+mod forecast;
 mod framing;
 mod grid;
 mod growth;

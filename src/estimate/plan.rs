@@ -29,22 +29,21 @@ const VALUES: f64 = (size_of::<f32>() + size_of::<u8>()) as f64;
 /// Bytes per vertex of the octree's structure, in memory and in the file. Measured: 0.4 to 2.1, 0.1 to 0.5.
 const STRUCTURE: [f64; 2] = [2.0, 0.5];
 /// Bytes per vertex that building the structure takes on the way, beside the sums and once they have left memory: masks
-/// of split cells, and the points that their bricks own.
-const BUILDING: [f64; 2] = [7.5, 4.0];
+/// of split cells, and the points that their bricks own. The most that was found, with few rays on a fine lattice.
+const BUILDING: [f64; 2] = [8.0, 4.0];
 /// Bytes per vertex of error bars, in memory and in the file.
 const BARS: f64 = size_of::<u16>() as f64;
 /// Bytes of a part's sums in the file.
 const EXACT: f64 = (6 * size_of::<f64>() + size_of::<u32>()) as f64;
 /// Bytes of what a file has beside its vertices: record, points on surfaces, coverage of rays.
 const RECORD: f64 = 12.0 * SURFACE_POINTS as f64 + 50e3;
-/// Sums leave memory after the rays that filled their room: bytes on disk per byte of that room, and bytes in memory per
+/// Sums leave memory after the rays that filled their room: bytes on disk per byte that is due, and bytes in memory per
 /// byte of a record of the up to eight vertices of each sample.
 const OVERFULL: [f64; 2] = [1.05, 1.5];
-/// Bytes that every process needs beyond what its first rays show. Small scenes were found to need up to 17 MB, in what
-/// the allocator keeps.
-const RESERVE: f64 = 18e6;
+/// Bytes that a process was found to need beyond what its first rays show, in what the allocator keeps.
+const RESERVE: f64 = 9e6;
 /// Time that reading the deviations of all vertices takes, or the sums of a group of rays, per time of finding these
-/// vertices.
+/// vertices: what the longest of ten runs took, rounded up.
 const READING: f64 = 3.0;
 /// Seconds for a byte of sums that is written, and read when runs are merged. Measured: 6 to 9 ns.
 const SECONDS_PER_BYTE: f64 = 1e-8;
@@ -112,13 +111,14 @@ impl Preparing {
     }
 }
 
-/// Watches the first rays of a run until they show what it will take, or their sums take half of their room.
+/// Watches the first rays of a run until there are enough of them, or their sums take half of their room.
 pub(super) struct Planner {
     settings: GridSettings,
     goal: Goal,
     is_part: bool,
-    /// Number of rays of the run.
+    /// Number of rays of the run, and of those that are watched.
     rays: f64,
+    first: u64,
     /// Bytes that sums may take in memory, if there is a budget.
     room: Option<f64>,
     picture: f64,
@@ -133,7 +133,7 @@ pub(super) struct Planner {
 }
 
 impl Planner {
-    /// Part of the rays that is watched, and the fewest rays that are: a field of so few is made at once.
+    /// Rays of a run per ray that is watched, and the fewest rays that are: a field of so few is made at once.
     const FIRST: u64 = 16;
     const LEAST: u64 = 16_384;
     /// Rays at a mark per ray at the mark before. The octree of a mark takes time.
@@ -146,6 +146,8 @@ impl Planner {
             goal,
             is_part: matches!(goal, Goal::Shard { of, .. } if of > 1),
             rays: rays as f64,
+            // Those of one set at most.
+            first: (rays / Self::FIRST).max(Self::LEAST).min(rays / u64::from(goal.sets_of_rays())).max(1),
             room: room.map(|room| room as f64),
             picture: picture as f64,
             rays_per_vertex: 0.0,
@@ -172,23 +174,19 @@ impl Planner {
         Self { preparing: Preparing::measure(first), start: Instant::now(), ..self }
     }
 
-    /// Sets of sums that are drawn.
-    fn sets(&self) -> u64 {
-        match self.goal {
-            Goal::Shard { .. } => 1,
-            Goal::Groups(groups) => groups.into(),
-            Goal::MeanError(_) => 2,
-        }
+    /// The planner of a run that watches its own rays. The octree of a mark takes time, so that these are few of a run
+    /// that is short.
+    pub fn under_way(self) -> Self {
+        Self { first: self.first.min(self.rays as u64 / 4).max(1), ..self }
     }
 
-    /// Number of rays that are watched: those of one set at most.
+    /// Number of rays that are watched.
     pub fn first_rays(&self) -> u64 {
-        let all = self.rays as u64;
-        (all / Self::FIRST).max(Self::LEAST).min(all / self.sets()).max(1)
+        self.first
     }
 
-    /// Looks at a builder after some of the first rays were summed. Returns the plan once there were enough of them, or
-    /// their sums have taken all their room.
+    /// Looks at a builder after some of the first rays were summed. Returns the plan, once: after the last of them, or
+    /// when their sums have taken half of their room. There is none if sums left memory before the first mark.
     ///
     /// # Errors
     /// As [`Builder::vertices`].
@@ -200,7 +198,7 @@ impl Planner {
         let here = memory::resident().map_or(0.0, |bytes| bytes as f64 - memory as f64);
         self.outside = self.outside.max(here);
         let has_left = builder.disk_bytes() > 0;
-        let (rays, enough) = (source.progress.rays as f64, self.first_rays() as f64);
+        let (rays, enough) = (source.progress.rays as f64, self.first as f64);
         // The octree of a mark needs room beside the sums.
         let is_half_full = self.room.is_some_and(|room| memory as f64 >= 0.5 * room);
         self.is_done = has_left || rays >= enough || is_half_full;
@@ -275,7 +273,7 @@ impl Planner {
         let used = (last.memory - spare_bytes(last.sums)).max(record * last.sums);
         let taken = |sums: f64| used * sums / last.sums.max(1.0) + spare_bytes(sums);
         let count = |rays: f64| growth.at(rays, |mark| mark.sums);
-        let sets = self.sets() as f64;
+        let sets: f64 = self.goal.sets_of_rays().into();
         let (of_set, all) = (count(self.rays / sets), count(self.rays));
         let copies: f64 = self.goal.sets_of_sums(self.settings.pooling).into();
         let in_memory = if is_grouped { sets * taken(of_set) + taken(all) } else { copies * taken(of_set) };

@@ -5,13 +5,12 @@ use std::time::{Duration, Instant};
 
 use super::builder::Builder;
 use super::coarser::CoarserLeaves;
-use super::draw::{Foreseen, Part, draw, of_rays};
+use super::draw::{Foreseen, Part, draw};
 use super::estimation::{Estimation, Goal};
 use super::mean_error;
-use super::plan::Planner;
 use super::{
-    Audit, CoverageCheck, ErrorBudget, FieldBuilder, FieldSource, GridKind, GridSettings, Plan, PositionCheck,
-    RayError, SURFACE_POINTS, StepCheck,
+    Audit, CoverageCheck, ErrorBudget, FieldBuilder, FieldSource, GridKind, GridSettings, PositionCheck, RayError,
+    SURFACE_POINTS, StepCheck,
 };
 use crate::geometry::{Lattice, kept_pixels};
 use crate::io::memory::resident;
@@ -41,13 +40,13 @@ pub struct Outcome {
 
 /// A prepared run before its first ray; see [`Estimation::prepare`].
 pub struct Run<'a> {
-    settings: Estimation<'a>,
+    pub(super) settings: Estimation<'a>,
     lattice: Lattice,
-    stream: RayStream<'a>,
+    pub(super) stream: RayStream<'a>,
     /// Bytes that sums may take in memory, if there is a budget.
     pub(super) room: Option<usize>,
     /// The leaves, if some stay coarser where rays are few.
-    coarser: Option<CoarserLeaves>,
+    pub(super) coarser: Option<CoarserLeaves>,
     /// Points on visible surfaces, which the field keeps.
     surface: Vec<[f32; 3]>,
 }
@@ -63,6 +62,7 @@ macro_rules! on_grid {
         }
     }};
 }
+pub(super) use on_grid;
 
 /// Most rays that are traced in search of points on visible surfaces. In a sparse scene most rays miss all matter.
 const MOST_SURFACE_RAYS: u64 = 1 << 16;
@@ -141,44 +141,6 @@ impl<'a> Run<'a> {
         self.settings.own_shard().own_rays()
     }
 
-    /// Foresees what the run will take, by its first rays: a sixteenth of them, or 16,384 if that is more, or as many as
-    /// have sums in half of the room of a budget. Of a model whose views have to be prepared, they look through few of the cameras.
-    ///
-    /// # Errors
-    /// As [`RayStream::run`].
-    pub fn forecast(&self) -> Result<Plan> {
-        on_grid!(self, forecast_with())
-    }
-
-    fn forecast_with<P: Finish>(&self) -> Result<Plan> {
-        let stream = self.stream.through_few_cameras();
-        let mut planner = self.planner().through(&stream);
-        let mut builder = self.builder::<P>()?;
-        builder.want_density(&stream)?;
-        let (shard, mut plan) = (Shard::whole(planner.first_rays()), None);
-        let part = Part { stream: &stream, shard: self.settings.own_shard(), file: None };
-        let drawn = stream.run(shard, RunProgress::default(), self.settings.monitor, |batches, progress| {
-            builder.add(batches);
-            plan = planner.watch(&mut builder, &of_rays(&part, *progress))?;
-            // As after a request to stop: enough was seen.
-            if plan.is_some() { Err(Error::Interrupted) } else { Ok(()) }
-        });
-        plan.map_or_else(|| drawn.map(|_| Plan::default()), Ok)
-    }
-
-    /// Watches the run's first rays.
-    fn planner(&self) -> Planner {
-        let Estimation { grid, goal, picture, .. } = &self.settings;
-        Planner::new(*grid, *goal, self.rays(), self.room, *picture).on_leaves(self.coarser.as_ref())
-    }
-
-    /// Whether the plan of the run is known while it draws its first rays. Otherwise these do not stand for the others:
-    /// they all come from the first cameras.
-    #[must_use]
-    pub fn is_foreseen_under_way(&self) -> bool {
-        self.stream.source.marched().is_some() && !matches!(self.settings.goal, Goal::MeanError(_))
-    }
-
     /// The folder of sums that leave memory; `None` without a budget.
     #[must_use]
     pub fn scratch(&self) -> Option<PathBuf> {
@@ -240,17 +202,7 @@ impl<'a> Run<'a> {
         self.finish_watched(None)
     }
 
-    /// As [`Run::finish`]; `foreseen` gets the [plan](Run::forecast) of a run that starts with its first ray, once that
-    /// is known [under way](Run::is_foreseen_under_way), and may refuse to go on.
-    ///
-    /// # Errors
-    /// As [`Run::finish`], or what `foreseen` returns.
-    pub fn finish_foreseen(self, foreseen: Foreseen) -> Result<Outcome> {
-        let is_foreseen = self.is_foreseen_under_way();
-        self.finish_watched(Some(foreseen).filter(|_| is_foreseen))
-    }
-
-    fn finish_watched(mut self, foreseen: Option<Foreseen>) -> Result<Outcome> {
+    pub(super) fn finish_watched(mut self, foreseen: Option<Foreseen>) -> Result<Outcome> {
         self.surface = self.surface_points()?;
         on_grid!(self, finish_with(foreseen))
     }
@@ -276,7 +228,7 @@ impl<'a> Run<'a> {
     }
 
     fn finish_shard<P: Finish>(mut self, foreseen: Option<Foreseen>) -> Result<Outcome> {
-        let watch = foreseen.map(|foreseen| (self.planner(), foreseen));
+        let watch = foreseen.map(|foreseen| (self.planner().under_way(), foreseen));
         let shard = self.settings.own_shard();
         let files = self.files();
         let mut builder = self.builder::<P>()?.with_overflow(self.overflow(files[0].as_deref()));
@@ -303,7 +255,7 @@ impl<'a> Run<'a> {
             return Err(Error::setting("groups of rays", expected, groups.to_string()));
         }
         let (mut builders, mut ray_sets) = (Vec::new(), Vec::new());
-        let mut watch = foreseen.map(|foreseen| (self.planner(), foreseen));
+        let mut watch = foreseen.map(|foreseen| (self.planner().under_way(), foreseen));
         let (mut progress, mut summing) = (Vec::new(), Duration::ZERO);
         for (group, file) in (0..count).zip(self.files()) {
             let mut builder = self.builder::<P>()?.with_overflow(self.overflow(file.as_deref()));
@@ -311,6 +263,9 @@ impl<'a> Run<'a> {
             let shard = Shard::whole(rays / groups + u64::from(u64::from(group) < rays % groups));
             let part = Part { stream: &stream, shard, file: file.as_deref() };
             // The first group stands for the others.
+            if watch.is_some() {
+                builder.want_density(&self.stream)?;
+            }
             let drawn = draw(&mut self.settings, &part, &mut builder, watch.take())?;
             progress.push(drawn.progress);
             summing += drawn.summing;
@@ -390,7 +345,7 @@ impl<'a> Run<'a> {
     }
 
     /// Creates a builder on the run's leaves.
-    fn builder<P: Finish>(&self) -> Result<Builder<P>> {
+    pub(super) fn builder<P: Finish>(&self) -> Result<Builder<P>> {
         Builder::new(self.settings.grid, self.settings.domain, self.coarser.as_ref())
     }
 

@@ -26,7 +26,7 @@ impl Pooling {
         self != Self::Off
     }
 
-    /// Whether a field of such sums is made of a copy of all of them: if it is a part of others, keeps them, or is pooled.
+    /// Whether a field of such sums is made of a copy of all of them: of a part of a run, to keep them, or to pool them.
     #[must_use]
     pub fn gathers_sums(self, is_part: bool, keep_sums: bool) -> bool {
         is_part || keep_sums || self.is_on()

@@ -1,4 +1,4 @@
-//! What a run will need, before its first ray.
+//! What a run will need, by its first rays.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ const LOOSEST: f64 = 3.5;
 /// Report what a run takes if it has at least so many rays.
 const MANY_RAYS: u64 = 1 << 19;
 
-/// What waits for a run's plan: it refuses what there is no room for, and notes what a large run takes.
+/// Compares a run's plan with what there is: refuses what there is no room for, and notes what a large run takes.
 pub(super) struct Foresight {
     /// Finest level and number of rays.
     level: u8,
@@ -111,7 +111,7 @@ pub fn given_up(plan: &Plan) -> Option<String> {
     })
 }
 
-/// What a run will need.
+/// What a run will need at most.
 #[derive(Debug, Clone, serde::Serialize)]
 #[non_exhaustive]
 pub struct Needs {

@@ -65,7 +65,7 @@ fn vertices_sums_and_disk_are_at_most_what_the_first_rays_foresee_and_not_much_l
 }
 
 #[test]
-fn whoever_waits_for_a_plan_may_refuse_it_and_a_resumed_run_has_none() {
+fn a_plan_can_be_refused_and_a_resumed_run_has_none() {
     let grid = GridSettings::default().level(6);
     let refuse = &mut |_: &Plan| Err(Error::setting("memory", "more", "less"));
     let refused = with_run(grid, None, Goal::default(), None, |run| run.finish_foreseen(refuse).err());

@@ -49,8 +49,8 @@ fn error_bars_and_mean_errors_are_those_of_runs_without_a_budget() {
         assert!(bound.field.support() == free.field.support() && bound.field.rays() == free.field.rays());
         assert!(compare(&bound.field, &free.field, 20_000, 1).unwrap().in_box.unwrap().max < 1e-6);
         let [a, b] = [&bound, &free].map(|outcome| outcome.field.error_bars().unwrap().clone());
-        // Errors are kept as f16: two that straddle a bound are a step of 2⁻¹⁰ apart. They are of differences of log10 σ,
-        // which f32 rounds by 2.6e-8, times the number of groups.
+        // Errors are kept as f16: two that straddle a bound are a step of 2⁻¹⁰ apart. They are of differences of
+        // log10 σ, which f32 rounds by 2.6e-8, times the number of groups.
         let off = |v: usize| a.get(v).zip(b.get(v)).map_or(0.0, |(a, b)| (a - b).abs() - b * 2.0_f64.powi(-10));
         assert!((0..a.len()).all(|v| a.get(v).is_some() == b.get(v).is_some() && off(v) < 3e-7));
         let threads = on_threads(3, || run(grid, Some(room), |run| run.error_bars(3)));
@@ -64,7 +64,7 @@ fn error_bars_and_mean_errors_are_those_of_runs_without_a_budget() {
             Some(RayError::Halves(error)) => error,
             other => panic!("{other:?}"),
         });
-        // n ε of sums; of pooled halves a mean of bars, few of which are a step of f16 apart.
+        // Sums differ by n ε. The error of pooled halves is a mean of bars, and few of these differ by a step of f16.
         assert!(a.vertices == b.vertices && (a.mean - b.mean).abs() < 1e-6 * b.mean, "{a:?}, {b:?}");
     }
 }

@@ -1,8 +1,8 @@
 //! Extrapolates from a few rays to many: how many rays each vertex of a region will get.
 //!
 //! Letters, for the vertices of one region on leaves of one size: `t` touches (one ray at one vertex), `d` distinct
-//! vertices, `f1` and `f2` those touched once and twice. Chao's lower bound (Chao 1984), an estimator of unseen species,
-//! gives the number of vertices that can be touched at all: V = d + f1 (f1 − 1) / (2 (f2 + 1)).
+//! vertices, `f1` and `f2` those touched once and twice. Chao's lower bound (Chao 1984), an estimator of unseen
+//! species, gives the number of vertices that can be touched at all: V = d + f1 (f1 − 1) / (2 (f2 + 1)).
 //!
 //! The bound is loose where hardly a vertex was touched twice, because leaves are much finer than the distance between
 //! the pilot's rays. There the next coarser leaves give a better estimate, and surfaces have a quarter of their

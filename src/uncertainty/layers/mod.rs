@@ -6,6 +6,7 @@
 mod color_spread;
 mod conformal;
 pub(super) mod error_bars;
+mod error_summary;
 mod limits;
 mod point_means;
 mod ray_coverage;
@@ -18,7 +19,8 @@ use serde_json::{Map, Value};
 
 pub use self::color_spread::{ColorSpread, ColorSums};
 pub use self::conformal::Conformal;
-pub use self::error_bars::{ErrorBars, ErrorSummary};
+pub use self::error_bars::ErrorBars;
+pub use self::error_summary::ErrorSummary;
 pub use self::residuals::{ResidualSums, Residuals};
 pub(super) use self::sums::each_sums;
 use super::file::Source;

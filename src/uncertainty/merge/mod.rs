@@ -29,8 +29,8 @@ use crate::{Error, Result};
 ///
 /// Memory does not grow with the number of parts or with their sums: those of files are read vertex by vertex, and what
 /// 256 MB have no room for goes to disk, as in a run under a [budget](crate::estimate::GridSettings::memory). Beside
-/// it, there are the octree of one part, and the joined field. With error bars, dense grids of all parts stay in memory,
-/// and pooled fields take 8 bytes for every vertex and part while their errors are computed.
+/// it, there are the octree of one part, and the joined field. With error bars, dense grids of all parts stay in
+/// memory, and pooled fields take 8 bytes for every vertex and part while their errors are computed.
 #[derive(Debug, Clone)]
 #[must_use]
 pub struct Merging {
