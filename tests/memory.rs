@@ -115,13 +115,13 @@ fn foreseen(args: &str) -> Taken {
 }
 
 /// Runs under a budget: the kernel's peak is at most a twentieth above it, or above what the finished field takes while
-/// it is made, if that is more: 10 bytes for every vertex beside the program. Where sums left memory, at least half of
+/// it is made, if that is more: 8 bytes for every vertex beside the program. Where sums left memory, at least half of
 /// the budget was used. Returns the bytes of sums on disk.
 fn keeps(scene: &str, cases: &[(u8, f64)]) -> f64 {
     let mut disk = 0.0;
     for (level, budget) in cases {
         let run = measure(&format!("{scene} --level {level} --memory {budget}"));
-        let most = budget.max(48e6 + 10.0 * run.vertices);
+        let most = budget.max(48e6 + 8.0 * run.vertices);
         println!(
             "| {scene} | {level} | {:.0} | {:.0} | {:.2} | {:.1} | {:.1} |",
             budget / 1e6,

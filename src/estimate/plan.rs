@@ -28,9 +28,9 @@ use crate::uncertainty::Finish;
 const VALUES: f64 = (size_of::<f32>() + size_of::<u8>()) as f64;
 /// Bytes per vertex of the octree's structure, in memory and in the file. Measured: 0.4 to 2.1, 0.1 to 0.5.
 const STRUCTURE: [f64; 2] = [2.0, 0.5];
-/// Bytes per vertex that building the structure takes on the way, beside the sums and once they have left memory: masks
-/// of split cells, and the points that their bricks own. The most that was found, with few rays on a fine lattice.
-const BUILDING: [f64; 2] = [8.0, 4.0];
+/// Bytes per vertex that building the structure takes on the way: masks of split cells. The most that was found, with
+/// few rays on a fine lattice.
+const BUILDING: f64 = 1.5;
 /// Bytes per vertex of error bars, in memory and in the file.
 const BARS: f64 = size_of::<u16>() as f64;
 /// Bytes of a part's sums in the file.
@@ -227,7 +227,7 @@ impl Planner {
         let [structure, stored] = if is_dense { [0.0; 2] } else { STRUCTURE };
         let gathers_sums = !is_dense && settings.gathers_sums(self.is_part);
         let gathered = if gathers_sums { size_of::<VertexSums>() as f64 } else { 0.0 };
-        let building = if is_dense { 0.0 } else { gathered.max(BUILDING[usize::from(disk > 0.0)]) };
+        let building = if is_dense { 0.0 } else { gathered.max(BUILDING) };
         let in_file = match (self.is_part, settings.keep_sums) {
             (true, _) => EXACT,
             (false, true) => size_of::<FactoredSums>() as f64,

@@ -71,10 +71,9 @@ impl Split {
         &self.levels[usize::from(level)]
     }
 
-    /// The split cells of each level above the finest, as sorted Morton codes.
-    #[must_use]
-    pub fn codes(&self) -> Vec<Vec<u64>> {
-        self.levels.iter().map(MaskSet::codes).collect()
+    /// Removes the finest level that is left, with its split cells.
+    pub fn pop(&mut self) -> Option<(u8, MaskSet)> {
+        self.levels.pop().map(|cells| (self.finest(), cells))
     }
 }
 
@@ -126,7 +125,8 @@ mod tests {
             let mut halves = [SplitSet::new(finest), SplitSet::new(finest)];
             cells.iter().enumerate().for_each(|(i, &cell)| halves[i % 2].cell(cell));
             let [a, b] = halves;
-            prop_assert_eq!((a | b).balanced().codes(), balanced_slowly(finest, &cells));
+            let codes: Vec<Vec<u64>> = (a | b).balanced().levels.iter().map(MaskSet::codes).collect();
+            prop_assert_eq!(codes, balanced_slowly(finest, &cells));
         }
 
         #[test]

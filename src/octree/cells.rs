@@ -15,6 +15,8 @@
 //!                       o--x
 //! ```
 
+use super::balance::Split;
+
 /// Number of masks that share a rank directory entry; together they fill a cache line.
 const BLOCK: usize = 60;
 
@@ -67,26 +69,27 @@ pub struct CellTree {
 }
 
 impl CellTree {
-    /// Builds the tree from sorted Morton codes of the split cells of each level (`split[ℓ]`, ℓ = 0 … finest − 1).
+    /// Builds the tree of the split cells of each level.
     ///
     /// # Panics
     /// If a split cell's parent is not split.
     #[must_use]
-    pub fn from_split(finest: u8, split: &[Vec<u64>]) -> Self {
-        assert_eq!(split.len(), usize::from(finest), "one list of split cells per level above the finest");
-        let mut masks = Vec::with_capacity(split.iter().rev().skip(1).map(Vec::len).sum());
-        for pair in split.windows(2) {
-            let mut children = pair[1].iter().peekable();
-            for &code in &pair[0] {
-                let mut mask = 0;
-                while let Some(&child) = children.next_if(|&&child| child >> 3 == code) {
-                    mask |= 1_u8 << (child & 7);
+    pub fn from_split(split: &Split) -> Self {
+        let mut masks = Vec::new();
+        for level in 1..split.finest() {
+            let (before, children) = (masks.len(), split.level(level));
+            for (brick, members) in split.level(level - 1).sorted() {
+                // Eight split cells have their children in one brick, each in a byte of its mask.
+                for part in (0..8).filter(|part| members >> (8 * part) & 0xff != 0) {
+                    let of_part = children.mask(brick << 3 | part).to_le_bytes();
+                    let is_split = |i: &usize| members >> (8 * part) >> i & 1 == 1;
+                    masks.extend((0..8).filter(is_split).map(|i| of_part[i]));
                 }
-                masks.push(mask);
             }
-            assert!(children.next().is_none(), "a split cell has a parent that is not split");
+            let found: usize = masks[before..].iter().map(|mask: &u8| mask.count_ones() as usize).sum();
+            assert_eq!(found, children.len(), "every split cell has a parent that is split");
         }
-        Self::from_masks(finest, !split[0].is_empty(), &masks)
+        Self::from_masks(split.finest(), split.level(0).len() > 0, &masks)
     }
 
     fn from_masks(finest: u8, root_split: bool, masks: &[u8]) -> Self {

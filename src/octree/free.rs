@@ -17,6 +17,9 @@ use super::masks::MaskSet;
 use super::morton;
 use super::set::MortonSet;
 
+/// Bricks whose points are known at once: 80 bytes each.
+const OWNERS_AT_ONCE: usize = 1 << 14;
+
 /// Points owned by a brick of 4³ parents. Each parent owns its lower corner and the points inside its
 /// half-open cube.
 struct Owned {
@@ -164,31 +167,33 @@ const UPPER_Y: u64 = indices_with(0b010_010, 0);
 const UPPER_Z: u64 = indices_with(0b100_100, 0);
 
 /// The free vertices by coarseness, finest first. Each set holds points of its own level's lattice.
-pub fn free_vertices(split: &Split) -> Vec<MortonSet> {
-    let finest = split.finest();
+pub fn free_vertices(mut split: Split) -> Vec<MortonSet> {
     let bits = |level: u8| 3 * (u32::from(level) + 1);
-    let mut sets = Vec::with_capacity(usize::from(finest) + 1);
-    // Points of the current level that touch a finer leaf.
-    let mut taken = MaskSet::default();
-    for level in (1..=finest).rev() {
-        let parents = split.level(level - 1);
-        let per_axis = 1 << (level - 1);
-        let owned: Vec<(u64, Owned)> =
-            owners(parents).into_par_iter().map(|brick| (brick, Owned::new(parents, brick, per_axis))).collect();
-        let bricks = owned.iter().flat_map(|(brick, owned)| {
-            let parts = (0_u64..).zip(owned.points);
-            parts.map(move |(part, points)| (brick << 3 | part, points))
+    let mut sets = Vec::with_capacity(usize::from(split.finest()) + 1);
+    // Points of the current level that touch a finer leaf: bricks with their masks, sorted.
+    let mut taken = Vec::new();
+    while let Some((above, parents)) = split.pop() {
+        let mut touched = Vec::new();
+        let mut others = taken.into_iter().peekable();
+        let owners = owners(&parents);
+        let bricks = owners.chunks(OWNERS_AT_ONCE).flat_map(|some| {
+            let owned: Vec<Owned> = some.par_iter().map(|&brick| Owned::new(&parents, brick, 1 << above)).collect();
+            touched.extend(some.iter().zip(&owned).map(|(&brick, owned)| (brick, owned.touched)));
+            some.iter().zip(owned).flat_map(|(&brick, owned)| {
+                (0_u64..).zip(owned.points).map(move |(part, points)| (brick << 3 | part, points))
+            })
         });
-        let free =
-            bricks.map(|(brick, points)| (brick, points & !taken.mask(brick))).filter(|(_, points)| *points != 0);
-        sets.push(MortonSet::from_bricks(bits(level), free));
-        let mut touched = MaskSet::default();
-        owned.iter().for_each(|(brick, owned)| touched.insert_mask(*brick, owned.touched));
+        let free = bricks.map(|(brick, points)| {
+            while others.next_if(|(other, _)| *other < brick).is_some() {}
+            let taken: u64 = others.next_if(|(other, _)| *other == brick).map_or(0, |(_, points)| points);
+            (brick, points & !taken)
+        });
+        sets.push(MortonSet::from_bricks(bits(above + 1), free.filter(|(_, points)| *points != 0)));
         taken = touched;
     }
     // Corners of the box itself, if it is a leaf.
-    let corners = if taken.mask(0) == 0 { 0xff } else { 0 };
-    sets.push(MortonSet::from_bricks(bits(0), std::iter::once((0, corners)).filter(|(_, corners)| *corners != 0)));
+    let is_leaf = taken.iter().all(|(_, points)| *points == 0);
+    sets.push(MortonSet::from_bricks(bits(0), is_leaf.then_some((0, 0xff))));
     sets
 }
 

@@ -136,6 +136,12 @@ impl MaskSet {
         all
     }
 
+    /// Number of members.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.bricks.values().map(|mask| mask.count_ones() as usize).sum()
+    }
+
     /// The members of a brick, as a mask.
     #[must_use]
     pub fn mask(&self, brick: u64) -> u64 {
@@ -156,17 +162,11 @@ impl MaskSet {
     }
 
     /// All members, sorted.
-    #[must_use]
+    #[cfg(test)]
     pub fn codes(&self) -> Vec<u64> {
-        let bricks = self.sorted();
-        let mut codes = Vec::with_capacity(bricks.iter().map(|(_, mask)| mask.count_ones() as usize).sum());
-        for (brick, mut mask) in bricks {
-            while mask != 0 {
-                codes.push(brick << 6 | u64::from(mask.trailing_zeros()));
-                mask &= mask - 1;
-            }
-        }
-        codes
+        let members =
+            |(brick, mask): (u64, u64)| (0..64_u64).filter(move |i| mask >> i & 1 == 1).map(move |i| brick << 6 | i);
+        self.sorted().into_iter().flat_map(members).collect()
     }
 }
 

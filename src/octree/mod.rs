@@ -24,7 +24,7 @@ mod set;
 mod validate;
 mod vertices;
 
-pub(crate) use balance::{Split, SplitSet};
+pub(crate) use balance::SplitSet;
 pub(crate) use blocks::{BLOCK, BRICK};
 pub use cells::Cell;
 pub(crate) use cells::CellTree;
@@ -139,7 +139,8 @@ impl Octree {
     #[must_use]
     pub fn from_split_set(wanted: SplitSet) -> Self {
         let split = wanted.balanced();
-        Self::from_balanced(&split, &split.codes())
+        let cells = CellTree::from_split(&split);
+        Self { cells, vertices: VertexTable::new(free_vertices(split)) }
     }
 
     /// The octree of a stored sequence of child masks, which may come from an untrusted file.
@@ -147,21 +148,16 @@ impl Octree {
     /// # Errors
     /// If the masks are inconsistent or the tree is not 2:1 balanced: a sentence that names what is wrong.
     pub fn from_raw(finest: u8, root_split: bool, masks: &[u8]) -> Result<Self, String> {
-        let codes = CellTree::split_from_raw(finest, root_split, masks)?;
         let mut wanted = SplitSet::new(finest);
-        for (level, codes) in (0..finest).zip(&codes) {
-            codes.iter().for_each(|&code| wanted.cell(Cell { level, index: morton::decode(code) }.child(0)));
+        for (level, codes) in (0..finest).zip(CellTree::split_from_raw(finest, root_split, masks)?) {
+            codes.into_iter().for_each(|code| wanted.cell(Cell { level, index: morton::decode(code) }.child(0)));
         }
         let split = wanted.balanced();
-        if split.codes() != codes {
+        let cells = CellTree::from_split(&split);
+        if cells.raw() != (root_split, masks.to_vec()) {
             return Err("the child masks describe an octree that is not 2:1 balanced".into());
         }
-        Ok(Self::from_balanced(&split, &codes))
-    }
-
-    fn from_balanced(split: &Split, codes: &[Vec<u64>]) -> Self {
-        let cells = CellTree::from_split(split.finest(), codes);
-        Self { cells, vertices: VertexTable::new(free_vertices(split)) }
+        Ok(Self { cells, vertices: VertexTable::new(free_vertices(split)) })
     }
 
     /// The tree of cells.

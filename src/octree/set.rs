@@ -129,11 +129,14 @@ impl MortonSet {
 
     /// All bricks in increasing order: code without the low six bits, mask, and rank of the lowest member.
     pub fn bricks(&self) -> impl Iterator<Item = (u64, u64, u32)> + '_ {
-        // Depth-first walk; the stack holds (row, node, prefix, slots still to visit).
-        let mut stack = Vec::new();
-        if self.len > 0 {
-            stack.push((0_usize, 0_u32, 0_u64, mask(self.rows[0][0])));
-        }
+        self.bricks_from(0)
+    }
+
+    /// From the brick of the member with this rank on, all bricks in increasing order: code without the low six bits,
+    /// mask, and rank of the lowest member.
+    fn bricks_from(&self, rank: u32) -> impl Iterator<Item = (u64, u64, u32)> + '_ {
+        // A depth-first walk.
+        let mut stack = self.way_to(rank);
         std::iter::from_fn(move || {
             loop {
                 let &(row, node, prefix, pending) = stack.last()?;
@@ -157,10 +160,42 @@ impl MortonSet {
         })
     }
 
-    /// All members in increasing order.
-    pub fn iter(&self) -> impl Iterator<Item = u64> + '_ {
-        self.bricks()
-            .flat_map(|(brick, mask, base)| BrickRank { mask, base }.members().map(move |(slot, _)| brick << 6 | slot))
+    /// The nodes from the root to the brick of the member with this rank, if there is one: row, number in the row,
+    /// prefix of the codes, and the slots behind the way.
+    fn way_to(&self, rank: u32) -> Vec<(usize, u32, u64, u64)> {
+        if rank >= self.len {
+            return Vec::new();
+        }
+        // Nodes of a row are sorted by their base.
+        let mut numbers = vec![rank];
+        for row in self.rows.iter().rev() {
+            let child = numbers[numbers.len() - 1];
+            numbers.push((row.partition_point(|&node| base(node) <= child) - 1) as u32);
+        }
+        numbers.reverse();
+        let (mut way, mut prefix) = (Vec::with_capacity(self.rows.len()), 0);
+        for (row, step) in numbers.windows(2).enumerate() {
+            let here = self.rows[row][step[0] as usize];
+            let mut pending = mask(here);
+            if row + 1 < self.rows.len() {
+                (base(here)..step[1]).for_each(|_| pending &= pending - 1);
+                let slot = u64::from(pending.trailing_zeros());
+                way.push((row, step[0], prefix, pending & (pending - 1)));
+                prefix = prefix << 6 | slot;
+            } else {
+                way.push((row, step[0], prefix, pending));
+            }
+        }
+        way
+    }
+
+    /// The members from this rank on, in increasing order.
+    pub fn iter_from(&self, rank: u32) -> impl Iterator<Item = u64> + '_ {
+        let bricks = self.bricks_from(rank);
+        let members = bricks.flat_map(|(brick, mask, base)| {
+            BrickRank { mask, base }.members().map(move |(slot, rank)| (brick << 6 | slot, rank))
+        });
+        members.skip_while(move |(_, at)| *at < rank).map(|(code, _)| code)
     }
 
     /// Bytes on the heap, spare capacity included.
@@ -187,7 +222,7 @@ mod tests {
     #[test]
     fn the_empty_set_has_no_members() {
         let set = set_of(27, &[]);
-        assert!(set.len() == 0 && set.rank(0).is_none() && set.iter().next().is_none());
+        assert!(set.len() == 0 && set.rank(0).is_none() && set.iter_from(0).next().is_none());
     }
 
     proptest! {
@@ -201,7 +236,9 @@ mod tests {
             for code in probes.into_iter().chain(near) {
                 prop_assert_eq!(set.rank(code), sorted.binary_search(&code).ok().map(|r| r as u32));
             }
-            prop_assert_eq!(set.iter().collect::<Vec<_>>(), sorted);
+            for rank in 0..=sorted.len() {
+                prop_assert_eq!(set.iter_from(rank as u32).collect::<Vec<_>>(), &sorted[rank..]);
+            }
         }
     }
 }

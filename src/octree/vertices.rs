@@ -40,16 +40,6 @@ impl Finder<'_> {
     }
 }
 
-/// The vertices of one brick that are still to come.
-#[derive(Clone, Copy, Default)]
-struct Members {
-    /// Number of the lowest vertex.
-    first: u32,
-    mask: u64,
-    brick: u64,
-    coarseness: u8,
-}
-
 /// All free vertices.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VertexTable {
@@ -113,31 +103,32 @@ impl VertexTable {
 
     /// The points of all vertices, by number.
     pub fn points(&self) -> impl Iterator<Item = [u32; 3]> + '_ {
-        let sets = (0_u32..).zip(&self.sets);
-        sets.flat_map(|(coarseness, set)| set.iter().map(move |code| morton::decode(code).map(|i| i << coarseness)))
+        self.points_from(0)
+    }
+
+    /// The points of the vertices from this number on.
+    fn points_from(&self, number: u32) -> impl Iterator<Item = [u32; 3]> + '_ {
+        let first = self.offsets.partition_point(|&offset| offset <= number) - 1;
+        let rest = (0_u32..).zip(&self.sets).zip(&self.offsets).skip(first);
+        rest.flat_map(move |((coarseness, set), &offset)| {
+            set.iter_from(number.saturating_sub(offset)).map(move |code| morton::decode(code).map(|i| i << coarseness))
+        })
     }
 
     /// [`VertexTable::points`] in parallel.
     pub fn par_points(&self) -> impl IndexedParallelIterator<Item = [u32; 3]> + '_ {
-        let sets = (0_u8..).zip(&self.sets).zip(&self.offsets);
-        let bricks: Vec<Members> = sets
-            .flat_map(|((coarseness, set), &offset)| {
-                set.bricks().map(move |(brick, mask, rank)| Members { first: offset + rank, mask, brick, coarseness })
-            })
-            .collect();
-        // Consecutive numbers mostly follow each other on the same thread.
-        let nowhere = || (0, Members::default());
-        (0..self.len() as u32).into_par_iter().map_init(nowhere, move |(at, rest), number| {
-            if rest.mask == 0 || rest.first != number {
-                let is_next = bricks.get(*at + 1).is_some_and(|brick| brick.first == number);
-                *at = if is_next { *at + 1 } else { bricks.partition_point(|brick| brick.first <= number) - 1 };
-                *rest = bricks[*at];
-                (rest.first..number).for_each(|_| rest.mask &= rest.mask - 1);
-            }
-            let code = rest.brick << 6 | u64::from(rest.mask.trailing_zeros());
-            rest.mask &= rest.mask - 1;
-            rest.first = number + 1;
-            morton::decode(code).map(|i| i << rest.coarseness)
+        let nowhere = || None;
+        (0..self.len() as u32).into_par_iter().map_init(nowhere, |at, number| {
+            // Consecutive numbers mostly follow each other on the same thread.
+            let (next, points) = match at {
+                Some((next, points)) if *next == number => (next, points),
+                _ => {
+                    let (next, points) = at.insert((number, self.points_from(number)));
+                    (next, points)
+                }
+            };
+            *next += 1;
+            points.next().expect("a point of every number")
         })
     }
 

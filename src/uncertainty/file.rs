@@ -105,6 +105,15 @@ impl Source {
         Ok(Self { path: path.to_path_buf(), file, kind, heads, record, lattice, is_dense, vertices: 0, layers })
     }
 
+    /// Opens a file whose head was read before.
+    fn open_again(path: &Path, head: &Head) -> Result<Self> {
+        let file = Self::open(path)?;
+        if (&file.record, file.lattice, file.is_dense) == (&head.record, head.lattice, head.is_dense) {
+            return Ok(file);
+        }
+        Err(file.malformed("header", "that of the file as it was opened before", "another, which replaced it"))
+    }
+
     /// The vertices, which are all of a dense grid or those of an octree.
     fn support(&mut self) -> Result<Support> {
         let masks: Vec<u8> = self.section("masks")?;
@@ -220,9 +229,9 @@ impl UncertaintyField {
     /// Reads what a merge needs of a file beside its sums: where its vertices are, and its layers.
     ///
     /// # Errors
-    /// If the file is missing, or is not complete, or not a field of this version.
-    pub(super) fn read_without_sums(path: &Path) -> Result<(Support, Layers)> {
-        let mut file = Source::open(path)?;
+    /// If the file is missing, or is not complete, or not the field of this head.
+    pub(super) fn read_without_sums(path: &Path, head: &Head) -> Result<(Support, Layers)> {
+        let mut file = Source::open_again(path, head)?;
         let support = file.support()?;
         // So that no grid is made that is larger than the file.
         file.expect_one_per_vertex("deviations", file.bytes("deviations") as usize / f32::SIZE)?;
@@ -233,9 +242,14 @@ impl UncertaintyField {
     /// Calls `visit` with the sums at each of so many `vertices`, in their order.
     ///
     /// # Errors
-    /// If the file is missing, or is not complete, or not a field of this version, or what `visit` returns.
-    pub(super) fn each_sums(path: &Path, vertices: u64, visit: impl FnMut(VertexSums) -> Result<()>) -> Result<()> {
-        let mut file = Source::open(path)?;
+    /// If the file is missing, or is not complete, or not the field of this head, or what `visit` returns.
+    pub(super) fn each_sums(
+        path: &Path,
+        head: &Head,
+        vertices: u64,
+        visit: impl FnMut(VertexSums) -> Result<()>,
+    ) -> Result<()> {
+        let mut file = Source::open_again(path, head)?;
         file.vertices = vertices;
         // What was altered anywhere is no part of a run.
         file.file.pieces::<f32>("deviations", |_, _| Ok(()))?;

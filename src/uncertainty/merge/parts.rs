@@ -23,14 +23,14 @@ pub struct Head {
     pub has_sums: bool,
 }
 
-/// A part of a run: a field in memory, or in a file.
+/// A part of a run: a field in memory, or in a file, which must not change after its head was read.
 pub trait Part {
     /// What is known before its sums are read; messages count parts from 1.
     fn head(&self, number: usize) -> Result<Head>;
     /// Where its vertices are, and its layers; they may lack the sums.
-    fn without_sums(&self) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)>;
+    fn without_sums(&self, head: &Head) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)>;
     /// Calls `visit` with the sums at each of its `vertices`, in their order.
-    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()>;
+    fn each_sums(&self, head: &Head, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()>;
 }
 
 impl Part for UncertaintyField {
@@ -46,11 +46,11 @@ impl Part for UncertaintyField {
         })
     }
 
-    fn without_sums(&self) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)> {
+    fn without_sums(&self, _head: &Head) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)> {
         Ok((Cow::Borrowed(&self.support), Cow::Borrowed(&self.layers)))
     }
 
-    fn each_sums(&self, _vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()> {
+    fn each_sums(&self, _head: &Head, _vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()> {
         self.sums().into_iter().flatten().copied().try_for_each(visit)
     }
 }
@@ -60,12 +60,12 @@ impl<P: Part> Part for &P {
         (*self).head(number)
     }
 
-    fn without_sums(&self) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)> {
-        (*self).without_sums()
+    fn without_sums(&self, head: &Head) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)> {
+        (*self).without_sums(head)
     }
 
-    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()> {
-        (*self).each_sums(vertices, visit)
+    fn each_sums(&self, head: &Head, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()> {
+        (*self).each_sums(head, vertices, visit)
     }
 }
 
@@ -74,13 +74,13 @@ impl Part for PathBuf {
         UncertaintyField::read_head(self)
     }
 
-    fn without_sums(&self) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)> {
-        let (support, layers) = UncertaintyField::read_without_sums(self)?;
+    fn without_sums(&self, head: &Head) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)> {
+        let (support, layers) = UncertaintyField::read_without_sums(self, head)?;
         Ok((Cow::Owned(support), Cow::Owned(layers)))
     }
 
-    fn each_sums(&self, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()> {
-        UncertaintyField::each_sums(self, vertices, visit)
+    fn each_sums(&self, head: &Head, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()> {
+        UncertaintyField::each_sums(self, head, vertices, visit)
     }
 }
 

@@ -61,7 +61,7 @@ impl<'a, P: Part> Joining<'a, P> {
         // Those of all parts, or of each.
         let mut sums: Vec<S> = Vec::new();
         for (part, head) in self.parts.iter().zip(&self.heads) {
-            let (support, layers) = part.without_sums()?;
+            let (support, layers) = part.without_sums(head)?;
             beside.add(&layers, [self.heads[0], head])?;
             if self.record.criteria.density || self.record.criteria.uniform {
                 beside.keep_leaves(&support);
@@ -70,7 +70,7 @@ impl<'a, P: Part> Joining<'a, P> {
                 sums.push(S::empty(lattice, &layers.limits(&lattice)));
             }
             let last = sums.len() - 1;
-            add(&mut sums[last], *part, &lattice, &support, &overflow)?;
+            add(&mut sums[last], (*part, head), &support, &overflow)?;
             let has_left = sums.iter().any(|group| !group.runs().is_empty());
             if has_groups && (has_left || sums.iter().map(S::memory).sum::<usize>() > room) {
                 sums.iter_mut().try_for_each(|group| overflow.spill_to_one(group))?;
@@ -106,19 +106,14 @@ impl<'a, P: Part> Joining<'a, P> {
 }
 
 /// Adds the sums of a part, whose vertices are those of `support`.
-fn add(
-    to: &mut impl Finish,
-    part: &impl Part,
-    lattice: &Lattice,
-    support: &Support,
-    overflow: &Overflow,
-) -> Result<()> {
+fn add(to: &mut impl Finish, (part, head): (&impl Part, &Head), support: &Support, overflow: &Overflow) -> Result<()> {
+    let lattice = &head.lattice;
     let mut points: Box<dyn Iterator<Item = [u32; 3]>> = match support {
         Support::Octree(octree) => Box::new(octree.vertex_positions()),
         Support::Dense => Box::new((0..support.vertices(lattice)).map(|v| lattice.dense_point(v as usize))),
     };
     let mut count = 0_u64;
-    part.each_sums(support.vertices(lattice), &mut |sums| {
+    part.each_sums(head, support.vertices(lattice), &mut |sums| {
         let point = points.next().expect("sums of a field are one per vertex");
         // Vertices that only balance the octree take no room.
         if sums != VertexSums::default() {

@@ -1,7 +1,10 @@
 //! Whatever is merged in whatever order, nested or at once: nothing is lost and nothing is counted twice. Sums are
 //! small integers here, which f64 adds exactly, so that a plain sum over all parts is the result bit for bit.
 
+use std::borrow::Cow;
+use std::cell::Cell;
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use glam::DVec3;
 use proptest::prelude::*;
@@ -16,6 +19,7 @@ use crate::posterior::{
     negligible_information,
 };
 use crate::rays::Shard;
+use crate::uncertainty::layers::Layers;
 use crate::uncertainty::tests::{barred, on_own_octree};
 use crate::uncertainty::{ResidualSums, RunRecord, StandardDeviations, Support};
 
@@ -287,6 +291,62 @@ fn forged_parts_are_refused() {
     let many: Vec<UncertaintyField> = (0..65).map(|seed| part(seed, Shard::whole(512), false, random).field).collect();
     let error = refusal(Merging::default().error_bars(true).join(&many));
     assert!(error.contains("at most 64 fields"), "{error}");
+}
+
+/// A file that another replaces after it was opened so many times.
+struct Replaced<'a> {
+    file: PathBuf,
+    by: &'a Path,
+    after: u32,
+    opened: Cell<u32>,
+}
+
+impl Replaced<'_> {
+    fn opens(&self) {
+        self.opened.update(|opened| opened + 1);
+        if self.opened.get() > self.after {
+            std::fs::copy(self.by, &self.file).unwrap();
+        }
+    }
+}
+
+impl Part for Replaced<'_> {
+    fn head(&self, number: usize) -> Result<Head> {
+        self.opens();
+        self.file.head(number)
+    }
+
+    fn without_sums(&self, head: &Head) -> Result<(Cow<'_, Support>, Cow<'_, Layers>)> {
+        self.opens();
+        self.file.without_sums(head)
+    }
+
+    fn each_sums(&self, head: &Head, vertices: u64, visit: &mut dyn FnMut(VertexSums) -> Result<()>) -> Result<()> {
+        self.opens();
+        self.file.each_sums(head, vertices, visit)
+    }
+}
+
+#[test]
+fn a_file_that_is_replaced_while_it_is_joined_is_refused() {
+    let random = &mut ChaCha8Rng::seed_from_u64(10);
+    let folder = tempfile::tempdir().unwrap();
+    let [own, other, more] = ["own.oct", "other.oct", "more.oct"].map(|name| folder.path().join(name));
+    let [of_own, of_other, of_more] = [1, 2, 3].map(|seed| part(seed, Shard::whole(512 * 9), false, random).field);
+    of_other.write(&other).unwrap();
+    of_more.write(&more).unwrap();
+    for after in 1..=3 {
+        of_own.write(&own).unwrap();
+        let replaced = || Replaced { file: own.clone(), by: &other, after, opened: Cell::new(0) };
+        let kept = || Replaced { file: more.clone(), by: &more, after: u32::MAX, opened: Cell::new(0) };
+        let joined = merge(&[replaced(), kept()]);
+        if after == 3 {
+            assert_eq!(joined.unwrap(), merge(&[own.clone(), more.clone()]).unwrap());
+        } else {
+            let error = refusal(joined);
+            assert!(error.contains("own.oct") && error.contains("replaced"), "{error}");
+        }
+    }
 }
 
 /// Error bars compare parts with what each of them has, in whatever order they are given.
