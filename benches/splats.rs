@@ -3,7 +3,7 @@
 //!
 //! Pixels per second and core: `RAYON_NUM_THREADS=1`.
 
-#[path = "../experiments/common/ball.rs"]
+#[path = "../experiments/src/ball.rs"]
 mod ball;
 
 use std::hint::black_box;

@@ -130,8 +130,8 @@ impl Error {
     }
 
     /// [`Error::Malformed`] of a file whose name does not end as it should.
-    #[cfg(feature = "cli")]
-    pub(crate) fn extension(path: &Path, expected: impl Into<String>) -> Self {
+    #[doc(hidden)]
+    pub fn extension(path: &Path, expected: impl Into<String>) -> Self {
         let found = path.extension().map_or("none".into(), |found| format!("`.{}`", found.display()));
         Self::malformed(path, "file name", expected, found)
     }
@@ -155,7 +155,9 @@ const LONGEST_PATH: usize = 4096;
 
 /// A number of things in words, such as `1 frame` and `2 frames`.
 #[cfg(feature = "files")]
-pub(crate) fn counted(count: usize, noun: &str) -> String {
+#[doc(hidden)]
+#[must_use]
+pub fn counted(count: usize, noun: &str) -> String {
     let plural = if count == 1 { "" } else { "s" };
     format!("{count} {noun}{plural}")
 }
@@ -163,7 +165,9 @@ pub(crate) fn counted(count: usize, noun: &str) -> String {
 /// Makes a text that may quote an untrusted file fit for one line on a terminal.
 ///
 /// Control characters, which could clear the screen, are escaped. Texts longer than [`LONGEST`] are cut.
-pub(crate) fn printable(text: &str) -> String {
+#[doc(hidden)]
+#[must_use]
+pub fn printable(text: &str) -> String {
     cut_printable(text, LONGEST)
 }
 

@@ -30,9 +30,10 @@
 //! - [`next_view`] ranks cameras by how much their images, not yet taken, would constrain the displacements.
 //! - [`dataset`] reads camera files, and [`open`] opens a model by its name: a file or a built-in scene.
 //!
-//! The program and the Python package are made of more modules: `session` runs from files to files, `evaluate` and
-//! `metrics` judge fields on held-out views, `train` and `synth` make models and data, `export` writes for other
-//! tools. They are not part of the interface, and these pages do not show them.
+//! The program and the Python package are made of more modules and crates: `evaluate` and `metrics` judge fields on
+//! held-out views, `train` and `synth` make models and data, `octobayes-session` runs from files to files,
+//! `octobayes-show` draws and writes for other tools. They are not part of the interface, and these pages do not show
+//! them.
 //!
 //! # Example
 //!
@@ -64,18 +65,16 @@
 //!
 //! # Features
 //!
-//! The library alone (`default-features = false`) computes, stores, merges and queries fields of models that
-//! implement [`field::RadianceField`]. Each feature adds whole modules, and the crates that only they need:
+//! Without features the library computes, stores, merges and queries fields of models that implement
+//! [`field::RadianceField`]. Each feature adds whole modules, and the crates that only they need:
 //!
 //! | feature | adds |
 //! |---|---|
 //! | `files` | files of others: [`dataset`], [`open`], [`splats`], models of [`field`], ray samples, official grids |
 //! | `train` | [`field::HashGrid`], and its trainer; with `files` |
-//! | `evaluate` | `session`, `evaluate` and their metrics; with `files` |
+//! | `evaluate` | `evaluate` and its metrics; with `files` |
 //! | `exr` | depth maps in OpenEXR; with `files` |
-//! | `export` | `export`; with `files` |
 //! | `synth` | `synth`; with `files` and `exr` |
-//! | `cli` | the program, and its pictures; with all others. The default |
 //!
 //! # Versions
 //!
@@ -88,8 +87,8 @@
 //!
 //! # What holds
 //!
-//! - [`octree`] does not depend on rays or colour. How a model is stored is private to [`field`]. Only the command line
-//!   prints.
+//! - [`octree`] does not depend on rays or colour. How a model is stored is private to [`field`]. Nothing
+//!   here prints.
 //! - The dense reference ([`posterior::DensePosterior`]) shares no accumulation code with the octree: each checks
 //!   the other.
 //! - Results do not depend on the number of threads, bit for bit. Rays are drawn by index and summed in ray order.
@@ -100,15 +99,15 @@
 //!   by 3e-8.
 //! - No unsafe code.
 
-// Both macros panic if the stream cannot be written: `say!` and `announce!` of the command line do not.
+// Both macros panic if the stream cannot be written.
 #![cfg_attr(not(test), warn(clippy::print_stderr, clippy::print_stdout))]
 
 #[macro_use]
 mod setters;
-
-#[cfg(feature = "cli")]
+#[macro_use]
 #[doc(hidden)]
-pub mod cli;
+pub mod choices;
+
 #[cfg(feature = "files")]
 pub mod dataset;
 pub mod error;
@@ -116,12 +115,10 @@ pub mod estimate;
 #[cfg(feature = "evaluate")]
 #[doc(hidden)]
 pub mod evaluate;
-#[cfg(feature = "export")]
-#[doc(hidden)]
-pub mod export;
 pub mod field;
 pub mod geometry;
-mod io;
+#[doc(hidden)]
+pub mod io;
 #[doc(hidden)]
 pub mod metrics;
 pub mod monitor;
@@ -129,15 +126,9 @@ pub mod next_view;
 pub mod octree;
 #[cfg(feature = "files")]
 pub mod open;
-#[cfg(feature = "cli")]
-#[doc(hidden)]
-pub mod picture;
 pub mod posterior;
 pub mod rays;
 pub mod render;
-#[cfg(feature = "evaluate")]
-#[doc(hidden)]
-pub mod session;
 pub mod splats;
 #[cfg(feature = "synth")]
 #[doc(hidden)]
@@ -146,8 +137,6 @@ pub mod synth;
 #[doc(hidden)]
 pub mod train;
 pub mod uncertainty;
-#[cfg(feature = "cli")]
-mod viewer;
 
 pub use error::{Error, Result};
 pub use glam;

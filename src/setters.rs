@@ -3,6 +3,8 @@
 /// A struct, and a setter for each of its fields, which takes and returns the struct by value. The setter has the
 /// field's name and documentation. It takes a number for an `Option` if the type ends in `as into`; a field whose type
 /// ends in `as skip` has none.
+#[macro_export]
+#[doc(hidden)]
 macro_rules! setters {
     (
         $(#[$attribute:meta])*
@@ -16,7 +18,7 @@ macro_rules! setters {
         }
 
         impl $(<$life>)? $name $(<$life>)? {
-            $(setters!(@ $($how)? [$(#[$doc])*] $field: $type);)*
+            $($crate::setters!(@ $($how)? [$(#[$doc])*] $field: $type);)*
         }
     };
     (@ skip [$($doc:tt)*] $field:ident: $type:ty) => {};

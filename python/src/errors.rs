@@ -4,7 +4,7 @@ use std::io::ErrorKind;
 
 use octobayes::Error;
 use octobayes::monitor::Message;
-use octobayes::session::in_flags;
+use octobayes_session::in_flags;
 use pyo3::exceptions::{
     PyFileNotFoundError, PyFloatingPointError, PyKeyboardInterrupt, PyOSError, PyPermissionError, PyValueError,
 };

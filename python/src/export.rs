@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use numpy::PyReadonlyArray2;
 use octobayes::Error;
 use octobayes::estimate::{Model, RaySettings};
-use octobayes::export::{
-    MeshSettings, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
-};
 use octobayes::geometry::Camera;
 use octobayes::uncertainty::{BakedField, UncertaintyField};
+use octobayes_show::export::{
+    MeshSettings, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
+};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 

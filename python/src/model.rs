@@ -6,7 +6,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::Error;
 use octobayes::field::{Coordinates, Intrinsics, Radiance, RadianceField, RadianceJet};
 use octobayes::glam::Vec3;
-use octobayes::session::OpenedModel;
+use octobayes_session::OpenedModel;
 use pyo3::prelude::*;
 use rayon::prelude::*;
 

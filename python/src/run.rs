@@ -9,7 +9,7 @@ use octobayes::evaluate::TrainingImages;
 use octobayes::geometry::{Camera, Mask};
 use octobayes::glam::Vec3;
 use octobayes::monitor::Message;
-use octobayes::session::{CameraSource, OpenedModel, Session};
+use octobayes_session::{CameraSource, OpenedModel, Session};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

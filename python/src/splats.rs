@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
-use octobayes::export::{SeenSplats, write_splats};
-use octobayes::session::OpenedModel;
 use octobayes::splats::{RenderMode, SplatRenderer, Splats as Gaussians};
 use octobayes::{Error, Result};
+use octobayes_session::OpenedModel;
+use octobayes_show::export::{SeenSplats, write_splats};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 

@@ -2,19 +2,15 @@
 
 use glam::DVec3;
 
-/// A half of space that training cameras may stand in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "kebab-case")]
-pub enum Hemisphere {
-    /// x < 0
-    Left,
-    /// x > 0
-    Right,
-    /// y < 0
-    Front,
-    /// y > 0
-    Back,
+choices! {
+    /// A half of space that training cameras may stand in.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+    pub enum Hemisphere {
+        Left = "left", "x < 0";
+        Right = "right", "x > 0";
+        Front = "front", "y < 0";
+        Back = "back", "y > 0";
+    }
 }
 
 impl Hemisphere {

@@ -24,7 +24,6 @@ pub struct ErrorBudget {
 /// What the number of rays leaves open, at the vertices that moved by more than half a decade from the prior.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 #[serde(tag = "from", rename_all = "kebab-case")]
-#[non_exhaustive]
 pub enum RayError {
     /// From two halves of the rays, by a run to a mean error.
     Halves(SamplingError),

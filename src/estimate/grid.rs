@@ -4,17 +4,15 @@ use crate::geometry::{Domain, Lattice};
 use crate::posterior::{Covariance, Criteria, DensePosterior, Entries, Pooling, Scale};
 use crate::{Error, Result};
 
-/// The structure that carries the field.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum GridKind {
-    /// Adaptive octree, finest where rays are sensitive
-    #[default]
-    Octree,
-    /// The paper's uniform grid of (2^level + 1)^3 vertices: the reference
-    Dense,
+choices! {
+    /// The structure that carries the field.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+    #[non_exhaustive]
+    pub enum GridKind {
+        #[default]
+        Octree = "octree", "Adaptive octree, finest where rays are sensitive";
+        Dense = "dense", "The paper's uniform grid of (2^level + 1)^3 vertices: the reference";
+    }
 }
 
 setters! {

@@ -6,7 +6,6 @@ use crate::uncertainty::Conformal;
 
 /// An interval of depth, calibrated on some views.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-#[non_exhaustive]
 pub struct Interval {
     /// The interval.
     pub conformal: Conformal,

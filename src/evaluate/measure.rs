@@ -67,7 +67,6 @@ impl Reading {
 /// training rays of the field's vertices around the expected depth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
 pub enum Baseline {
     /// [`crate::render::depth_variance`] of the ray's weights.
     RayVariance,
@@ -98,7 +97,6 @@ impl Baseline {
 
 /// One measure of uncertainty per pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
 pub enum Measure {
     /// Ray average of log10 U, by the index of the reading.
     Reading(usize, RayAverage),

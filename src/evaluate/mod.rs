@@ -29,7 +29,7 @@ pub use judge::{Evaluation, Judged, Prepared};
 pub use measure::Reading;
 pub use report::{Inside, NeverSeen, Part, Report, Scored, ViewReport};
 pub use score::{ByError, DepthError, Score};
-pub(crate) use training_cameras::training_cameras;
+pub use training_cameras::training_cameras;
 pub use training_images::{Compared, TrainingImages, compare_images};
 
 // The parts of an evaluation, for this crate's experiments.

@@ -12,7 +12,6 @@ use crate::uncertainty::Conformal;
 
 /// The figures of an evaluation, and its protocol. Fields are explained where their types are.
 #[derive(Debug, Clone, Serialize)]
-#[non_exhaustive]
 pub struct Report {
     /// What the figures come to, in sentences: whether U ranks the errors, and whether intervals are right. Empty if
     /// depth was not judged.
@@ -66,7 +65,6 @@ pub struct Report {
 
 /// One view.
 #[derive(Debug, Clone, Serialize)]
-#[non_exhaustive]
 pub struct ViewReport {
     /// The frame's `file_path`.
     pub name: String,
@@ -78,7 +76,6 @@ pub struct ViewReport {
 
 /// The pixels that show what no training view saw.
 #[derive(Debug, Clone, Copy, Serialize)]
-#[non_exhaustive]
 pub struct NeverSeen {
     /// Number of training views.
     pub training_views: usize,
@@ -116,7 +113,6 @@ pub struct Scored {
 
 /// A part of the pixels.
 #[derive(Debug, Clone, Serialize)]
-#[non_exhaustive]
 pub struct Part {
     /// Their share of all.
     pub share: f64,
@@ -127,7 +123,6 @@ pub struct Part {
 
 /// A calibrated interval, on other views than those that it was made on.
 #[derive(Debug, Clone, Serialize)]
-#[non_exhaustive]
 pub struct Inside {
     /// Name of the reading.
     pub name: String,

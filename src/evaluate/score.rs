@@ -7,7 +7,6 @@ use crate::metrics::{ErrorKind, Sparsification, quantile, sparsification, spearm
 
 /// A figure for each [`ErrorKind`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[non_exhaustive]
 pub struct ByError {
     /// Of the mean absolute error.
     pub mae: f64,
@@ -19,7 +18,6 @@ pub struct ByError {
 
 /// How well one measure ranks the depth error.
 #[derive(Debug, Clone, Serialize)]
-#[non_exhaustive]
 pub struct Score {
     /// Area under the sparsification error, over the pixels of all views together.
     pub ause_pooled: ByError,
@@ -75,7 +73,6 @@ impl Score {
 
 /// Absolute error of the median depth over the pixels of all views, in scene units.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[non_exhaustive]
 pub struct DepthError {
     /// Number of pixels.
     pub pixels: usize,

@@ -10,7 +10,7 @@ use crate::geometry::{Camera, NamedCamera};
 /// The training cameras of `model`, called `name`: those that it stores. Of splats, those of the checksum that their
 /// field was computed with, if a camera file has them: `views`, of the file `path`, or one beside that file or the
 /// model, as it is or at the image size of `views`. None if they are unknown.
-pub(crate) fn training_cameras(
+pub fn training_cameras(
     model: &dyn Model,
     name: &str,
     wanted: Option<u32>,

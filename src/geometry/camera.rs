@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use super::{Distortion, Mask, Ray};
 
 /// Largest accepted image: 100 megapixels.
-pub(crate) const MAX_PIXELS: f64 = 1e8;
+pub const MAX_PIXELS: f64 = 1e8;
 /// Largest accepted image side; a larger one means a damaged file.
 pub(crate) const MAX_SIDE: f64 = 65_536.0;
 /// Largest distance of an image corner from the optical axis, on the plane at depth 1. Beyond it there is no

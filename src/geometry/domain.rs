@@ -16,16 +16,13 @@ use glam::{DVec3, Vec3};
 use super::Aabb;
 use crate::{Error, Result};
 
-/// The norm that measures distance from the centre of a contraction.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "lowercase")]
-#[non_exhaustive]
-pub enum Norm {
-    /// Euclidean (mip-NeRF 360): the cube's corners stay empty
-    L2,
-    /// Largest coordinate (nerfacto): fills the cube
-    Linf,
+choices! {
+    /// The norm that measures distance from the centre of a contraction.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+    pub enum Norm {
+        L2 = "l2", "Euclidean (mip-NeRF 360): the cube's corners stay empty";
+        Linf = "linf", "Largest coordinate (nerfacto): fills the cube";
+    }
 }
 
 impl Norm {
@@ -55,7 +52,6 @@ impl Norm {
 /// # Ok::<(), octobayes::Error>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-#[non_exhaustive]
 pub enum Domain {
     /// A box, mapped affinely.
     Box(Aabb),

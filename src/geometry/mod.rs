@@ -18,7 +18,8 @@ pub use aabb::Aabb;
 #[cfg(feature = "files")]
 pub(crate) use aabb::NGP_SCALE;
 pub use camera::Camera;
-pub(crate) use camera::MAX_PIXELS;
+#[doc(hidden)]
+pub use camera::MAX_PIXELS;
 #[cfg(feature = "files")]
 pub(crate) use camera::{MAX_REACH, MAX_SIDE, MAX_SKEW, skew};
 pub use distortion::Distortion;

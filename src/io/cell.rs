@@ -4,6 +4,7 @@
 ///
 /// Names of frames come from files of others, and a cell that starts with `=`, `+`, `-`, `@`, a tab or the end of a
 /// line may be run when the table is opened. Numbers are no texts: they stay as they are.
+#[must_use]
 pub fn cell(text: String) -> String {
     if text.starts_with(['=', '+', '-', '@', '\t', '\r', '\n']) { format!("'{text}") } else { text }
 }

@@ -194,6 +194,7 @@ impl Reader {
     }
 
     /// Bytes of the next section of this name; 0 if none follows.
+    #[must_use]
     pub fn bytes(&self, name: &str) -> u64 {
         self.sections.iter().find(|section| section.name == name).map_or(0, |section| section.bytes)
     }

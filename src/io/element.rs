@@ -90,12 +90,14 @@ pub struct Dtype {
 
 impl Dtype {
     /// Reads NumPy's name of a type, such as `<f4`, if it is one of numbers.
+    #[must_use]
     pub fn parse(name: &str) -> Option<Self> {
         let &[order @ (b'<' | b'>' | b'|'), kind, size] = name.as_bytes() else { return None };
         let is_known = matches!((kind, size), (b'i' | b'u', b'1' | b'2' | b'4' | b'8') | (b'f', b'2' | b'4' | b'8'));
         is_known.then_some(Self { kind, size: usize::from(size - b'0'), has_high_byte_first: order == b'>' })
     }
 
+    #[must_use]
     pub fn is_float(&self) -> bool {
         self.kind == b'f'
     }

@@ -5,7 +5,6 @@
 //! anything.
 
 mod atomic;
-#[cfg(feature = "export")]
 mod cell;
 pub mod container;
 #[cfg(feature = "files")]
@@ -27,7 +26,6 @@ mod whole;
 #[cfg(feature = "synth")]
 pub use atomic::beside;
 pub use atomic::{AtomicFile, remove_leftovers};
-#[cfg(feature = "export")]
 pub use cell::cell;
 #[cfg(feature = "files")]
 pub use element::{Dtype, Element, Index, Real, Stored};

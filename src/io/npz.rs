@@ -31,6 +31,7 @@ impl NpzReader {
     }
 
     /// True if the archive has the member `NAME.npy`.
+    #[must_use]
     pub fn has(&self, name: &str) -> bool {
         self.archive.index_for_name(&format!("{name}.npy")).is_some()
     }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::{Error, Result};
 
 /// The folder that holds what `path` names.
+#[must_use]
 pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -13,6 +14,7 @@ pub fn folder_of(path: &Path) -> &Path {
 }
 
 /// `path` with symbolic links at its end resolved. The result need not exist.
+#[must_use]
 pub fn destination(path: &Path) -> PathBuf {
     // As many links as Linux follows.
     (0..40).fold(path.to_path_buf(), |path, _| match path.read_link() {

@@ -155,6 +155,7 @@ impl<T: Item> SortedFile<T> {
     }
 
     /// Whether a file is one of these, of whatever items.
+    #[must_use]
     pub fn is_sorted_file(path: &Path) -> bool {
         let end = File::open(path).and_then(|mut file| {
             let mut end = [0; END];

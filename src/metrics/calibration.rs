@@ -12,7 +12,6 @@ const POINTS: usize = 99;
 
 /// How well deviations predict the size of errors, for one density.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
-#[non_exhaustive]
 pub struct DensityCalibration {
     /// The density that errors are taken to have.
     pub density: ErrorDensity,

@@ -10,7 +10,6 @@ const FREEDOM: f64 = 5.0;
 /// The shape of the errors' density.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
-#[non_exhaustive]
 pub enum ErrorDensity {
     /// Normal.
     Gauss,

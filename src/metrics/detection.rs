@@ -2,7 +2,6 @@
 
 /// How well a score detects what is positive.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-#[non_exhaustive]
 pub struct Detection {
     /// Area under the receiver operating characteristic: the chance that a positive has a larger score than a
     /// negative, ties counted half. 1 is perfect, ½ is chance.

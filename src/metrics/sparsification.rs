@@ -12,7 +12,6 @@ pub const STEPS: usize = 100;
 /// Which error is averaged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
-#[non_exhaustive]
 pub enum ErrorKind {
     /// Mean absolute error.
     Mae,
@@ -29,7 +28,6 @@ impl ErrorKind {
 
 /// Two sparsification curves and the area between them.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
-#[non_exhaustive]
 pub struct Sparsification {
     /// `[STEPS]`: share of the pixels removed.
     pub removed: Vec<f64>,

@@ -66,32 +66,21 @@ use crate::posterior::Information;
 #[doc(hidden)]
 pub type VertexGain<'a> = &'a (dyn Fn(&Information, &Information) -> f64 + Sync);
 
-/// What a view is worth.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "lowercase")]
-#[non_exhaustive]
-pub enum Gain {
-    /// Information about displacements, sum of 1/2 log det(I + P^-1 dP), nats
-    #[default]
-    Logdet,
-    /// Its first-order term, sum of 1/2 tr(P^-1 dP): what was seen well counts as much as what was not
-    Trace,
-    /// Directional coverage of visible surface, whatever the model is sensitive to; needs the training cameras
-    Coverage,
+choices! {
+    /// What a view is worth.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+    #[non_exhaustive]
+    pub enum Gain {
+        #[default]
+        Logdet = "logdet", "Information about displacements, sum of 1/2 log det(I + P^-1 dP), nats";
+        Trace = "trace",
+        "Its first-order term, sum of 1/2 tr(P^-1 dP): what was seen well counts as much as what was not";
+        Coverage = "coverage",
+        "Directional coverage of visible surface, whatever the model is sensitive to; needs the training cameras";
+    }
 }
 
 impl Gain {
-    /// The name on the command line and in files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Logdet => "logdet",
-            Self::Trace => "trace",
-            Self::Coverage => "coverage",
-        }
-    }
-
     /// Refuses a gain that is no sum over pixels.
     ///
     /// # Errors

@@ -18,7 +18,8 @@ mod leaf_table;
 mod leaves;
 mod masks;
 mod max_levels;
-pub(crate) mod morton;
+#[doc(hidden)]
+pub mod morton;
 mod nearby;
 mod set;
 mod validate;
@@ -27,7 +28,6 @@ mod vertices;
 pub(crate) use balance::SplitSet;
 pub(crate) use blocks::{BLOCK, BRICK};
 pub use cells::Cell;
-pub(crate) use cells::CellTree;
 pub(crate) use cursor::Cursor;
 pub(crate) use leaf_table::LeafTable;
 pub use leaves::Leaves;
@@ -39,6 +39,8 @@ pub(crate) use nearby::Nearby;
 pub(crate) use set::MortonSet;
 
 // What only the program, Python and the experiments name.
+#[doc(hidden)]
+pub use cells::CellTree;
 #[doc(hidden)]
 pub use validate::{Defect, OctreeStats};
 

@@ -3,34 +3,24 @@
 use super::double_double::DoubleDouble;
 use super::{Entries, Information, VertexSums, trace};
 
-/// The definition of the standard deviation σ_v, computed from H_v = (2/R) S_v + 2λ I.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum Covariance {
-    /// σ² = Σ_k 1 / H_kk (the paper, Sec. 4.4). Depends on the orientation of the axes.
-    #[default]
-    Diagonal,
-    /// σ² = 1 / (tr S / R + λ) (the official code: no factor 2; interpolates variance with normalised squared weights).
-    Trace,
-    /// σ² = tr(H⁻¹) of the full 3×3 block. Does not depend on the axes; counts sliding along a surface as uncertainty.
-    Block,
+choices! {
+    /// The definition of the standard deviation σ_v, computed from H_v = (2/R) S_v + 2λ I.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
+    #[non_exhaustive]
+    pub enum Covariance {
+        /// σ² = Σ_k 1 / H_kk (the paper, Sec. 4.4). Depends on the orientation of the axes.
+        #[default]
+        Diagonal = "diagonal", "sum of 1/H_kk: the paper's; depends on how the axes are turned";
+        /// σ² = 1 / (tr S / R + λ) (the official code: no factor 2; interpolates variance with normalised squared
+        /// weights).
+        Trace = "trace", "1/(tr S/R + lambda): the official code's";
+        /// σ² = tr(H⁻¹) of the full 3×3 block. Does not depend on the axes; counts sliding along a surface as
+        /// uncertainty.
+        Block = "block", "trace of the inverse 3x3 block: does not depend on the axes";
+    }
 }
 
 impl Covariance {
-    /// All variants.
-    pub const ALL: [Self; 3] = [Self::Diagonal, Self::Trace, Self::Block];
-
-    /// The name used on the command line and in files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Diagonal => "diagonal",
-            Self::Trace => "trace",
-            Self::Block => "block",
-        }
-    }
-
     /// The entries of S that σ_v depends on.
     pub(crate) fn entries(self) -> Entries {
         match self {

@@ -1,22 +1,17 @@
 //! Whether a vertex near few rays borrows from its neighbours.
 
-use std::fmt::{Display, Formatter};
-
 /// To pooling, a vertex has moved if its own information changes log10 U by more than this, decades. The octree's
 /// tolerance must not decide that: whether a vertex counts changes its neighbours by decades, on a dense grid as well.
 pub const MIN_CHANGE: f64 = 0.01;
 
-/// Whether a vertex near few rays borrows from its neighbours.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "lowercase")]
-#[non_exhaustive]
-pub enum Pooling {
-    /// Every vertex has its own sums alone, as in the paper
-    #[default]
-    Off,
-    /// The fewer rays saw it, the more it takes from what surrounds it
-    Auto,
+choices! {
+    /// Whether a vertex near few rays borrows from its neighbours.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+    pub enum Pooling {
+        #[default]
+        Off = "off", "Every vertex has its own sums alone, as in the paper";
+        Auto = "auto", "The fewer rays saw it, the more it takes from what surrounds it";
+    }
 }
 
 impl Pooling {
@@ -36,15 +31,5 @@ impl Pooling {
     #[must_use]
     pub fn largest_change(self, tolerance: f64) -> f64 {
         if self.is_on() { MIN_CHANGE } else { tolerance }
-    }
-}
-
-/// As the option `--pooling` spells it.
-impl Display for Pooling {
-    fn fmt(&self, f: &mut Formatter) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Auto => "auto",
-            Self::Off => "off",
-        })
     }
 }

@@ -14,7 +14,6 @@ use crate::{Error, Result};
 /// code, but its numbers are no lengths to rely on: the prior alone is 10⁴·⁴ in a box of edge 2 at level 8.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
 pub enum Scale {
     /// The paper's.
     #[default]

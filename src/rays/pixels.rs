@@ -13,7 +13,6 @@ use crate::io::mix;
 /// The method of choosing pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
 pub enum Pixels {
     /// Uniformly at random from all images, as in the paper; for comparisons
     Random,

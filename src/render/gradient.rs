@@ -8,21 +8,18 @@ use crate::field::{Differentiable, Radiance, RadianceField, RadianceJet};
 use crate::geometry::{Aabb, Domain};
 use crate::{Error, Result};
 
-/// Source of the derivatives of a field.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum GradientMethod {
-    /// Central differences; work for any field
-    #[default]
-    FiniteDifference,
-    /// The field's own derivatives, exact up to rounding; an error for a field without them
-    Analytic,
-    /// The field's own derivatives if it has them, else central differences
-    Auto,
-    /// Forward differences: four points for a sample instead of seven, over a quarter of the distance
-    ForwardDifference,
+choices! {
+    /// Source of the derivatives of a field.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+    #[non_exhaustive]
+    pub enum GradientMethod {
+        #[default]
+        FiniteDifference = "finite-difference", "Central differences; work for any field";
+        Analytic = "analytic", "The field's own derivatives, exact up to rounding; an error for a field without them";
+        Auto = "auto", "The field's own derivatives if it has them, else central differences";
+        ForwardDifference = "forward-difference",
+        "Forward differences: four points for a sample instead of seven, over a quarter of the distance";
+    }
 }
 
 impl GradientMethod {

@@ -20,18 +20,15 @@ const ROUNDING: f64 = 1e-5;
 /// Maximal number of triangles: a scene of about 20 GB.
 const MAX_FACES: usize = 100_000_000;
 
-/// The axis of the file that points up. The other two follow by rotation, so that no mesh is mirrored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
-#[serde(rename_all = "kebab-case")]
-pub enum Up {
-    /// x up, y to the right: (x, y, z) becomes (y, z, x)
-    X,
-    /// y up, z to the front, as in most OBJ files: (x, y, z) becomes (x, -z, y)
-    #[default]
-    Y,
-    /// z up, as in the scene: (x, y, z) stays
-    Z,
+choices! {
+    /// The axis of the file that points up. The other two follow by rotation, so that no mesh is mirrored.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+    pub enum Up {
+        X = "x", "x up, y to the right: (x, y, z) becomes (y, z, x)";
+        #[default]
+        Y = "y", "y up, z to the front, as in most OBJ files: (x, y, z) becomes (x, -z, y)";
+        Z = "z", "z up, as in the scene: (x, y, z) stays";
+    }
 }
 
 impl Up {

@@ -29,7 +29,6 @@ const MAX_PIXELS: u64 = 100_000_000;
 setters! {
     /// Settings of a dataset made from a mesh.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-    #[non_exhaustive]
     pub struct DatasetSettings {
         /// Axis of the file that points up.
         pub up: Up,

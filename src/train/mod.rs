@@ -36,7 +36,6 @@ use crate::field::HashGridConfig;
 /// Background of the scene during training.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
 pub enum Background {
     /// Another colour for every ray, where images are transparent. Empty space must become transparent to match.
     Random,
@@ -47,7 +46,6 @@ pub enum Background {
 setters! {
     /// Settings of a training run.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-    #[non_exhaustive]
     pub struct TrainSettings {
         /// Size of the field.
         pub config: HashGridConfig,

@@ -20,7 +20,6 @@ const OPAQUE: f64 = 1e-4;
 
 /// Quality of a field on held-out images.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
 pub struct Quality {
     /// Mean PSNR of the images, dB.
     pub psnr: f64,

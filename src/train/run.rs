@@ -14,7 +14,6 @@ use crate::monitor::Monitor;
 
 /// End of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
 pub enum Budget {
     /// After this many steps; the result is the same every time.
     Steps(u64),
@@ -57,7 +56,6 @@ pub trait Training {
 
 /// Progress of a run while it is going on.
 #[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
 pub struct Progress {
     /// Number of steps so far.
     pub steps: u64,
@@ -105,7 +103,6 @@ pub struct Run<'a> {
 
 /// Outcome of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
 pub struct Finished {
     /// Seconds of training, including those before an interruption, without the time for measuring quality.
     pub elapsed: f64,

@@ -32,7 +32,6 @@ pub(super) struct Moments<T> {
 
 /// Results of a step, from before it changed the parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
 pub struct StepReport {
     /// Mean loss of a ray.
     pub loss: f64,

@@ -11,6 +11,5 @@ mod rotation;
 mod scenes;
 mod self_check;
 mod single;
-mod third_kind;
 mod tolerance;
 mod zoo;

@@ -10,6 +10,7 @@ use super::key::{BlockCode, VertexKey};
 use super::runs::RunsReader;
 use super::sparse::Reader;
 use crate::Result;
+use crate::choices::Choice;
 use crate::octree::{Cell, Leaves, MaskSet, Octree, SplitSet, cells_around};
 use crate::posterior::{Reading, Sums, VertexSums};
 
@@ -22,7 +23,6 @@ const BLOCKS_TOGETHER: usize = 1 << 12;
 
 /// A single criterion that requires refinement or limits it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Criterion {
@@ -33,9 +33,30 @@ pub enum Criterion {
     /// No finer than the rays support: about 4 rays per vertex
     RayCount,
     /// Everywhere: the vertices of the dense grid, for comparisons
-    #[cfg_attr(feature = "cli", value(skip))]
     #[serde(skip)]
     Uniform,
+}
+
+impl Choice for Criterion {
+    const CHOICES: &'static [Self] = &[Self::Sensitivity, Self::Density, Self::RayCount];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Sensitivity => "sensitivity",
+            Self::Density => "density",
+            Self::RayCount => "ray-count",
+            Self::Uniform => "uniform",
+        }
+    }
+
+    fn help(self) -> &'static str {
+        match self {
+            Self::Sensitivity => "Around vertices whose displacement would change some pixel",
+            Self::Density => "Wherever there is density, seen or not",
+            Self::RayCount => "No finer than the rays support: about 4 rays per vertex",
+            Self::Uniform => "Everywhere",
+        }
+    }
 }
 
 /// A combination of criteria: refine where any of the first three requires it, but no finer than the rays support.
@@ -78,12 +99,12 @@ impl FromIterator<Criterion> for Criteria {
 impl fmt::Display for Criteria {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let all = [
-            (self.sensitivity, "sensitivity"),
-            (self.density, "density"),
-            (self.uniform, "uniform"),
-            (self.ray_count, "ray-count"),
+            (self.sensitivity, Criterion::Sensitivity),
+            (self.density, Criterion::Density),
+            (self.uniform, Criterion::Uniform),
+            (self.ray_count, Criterion::RayCount),
         ];
-        let names: Vec<&str> = all.iter().filter(|(on, _)| *on).map(|(_, name)| *name).collect();
+        let names: Vec<&str> = all.into_iter().filter(|(on, _)| *on).map(|(_, criterion)| criterion.name()).collect();
         write!(f, "{}", names.join(", "))
     }
 }

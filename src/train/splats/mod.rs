@@ -28,7 +28,6 @@ use super::{Background, Shot};
 setters! {
     /// Settings of a run that trains splats.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-    #[non_exhaustive]
     pub struct SplatSettings {
         /// Seed of first places, order of images, backgrounds and growth.
         pub seed: u64,

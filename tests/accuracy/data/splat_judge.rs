@@ -12,7 +12,7 @@ use octobayes::splats::Splats;
 
 use super::data;
 
-#[path = "../../../experiments/common/halved.rs"]
+#[path = "../../../experiments/src/halved.rs"]
 mod halved;
 
 fn judge(splats: &Splats, cameras: &[Camera], level: u8, folder: &Path) -> Report {

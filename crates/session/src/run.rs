@@ -1,0 +1,416 @@
+//! One run: what is requested, checked, drawn and attached.
+
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use glam::Vec3;
+
+use super::memory::{bytes, peak};
+use super::needs::Foresight;
+use super::training_args::TrainingArgs;
+use super::{Choices, Finished, Purpose, TrainingPixels, checks, world};
+use octobayes::dataset::{Frame, Views, memory_of_masks, read_masks};
+use octobayes::estimate::{
+    Audit, Checkpoint, ErrorBudget, Estimation, Feature, Goal, GridSettings, Model, Outcome, RayError, RaySettings,
+    Run, StepCheck, require,
+};
+use octobayes::evaluate::{Compared, ImageCheck, TrainingImages, check_images, memory_of_images};
+use octobayes::geometry::{Camera, Domain, Mask, kept_pixels};
+use octobayes::monitor::{Message, Monitor};
+use octobayes::posterior::Scale;
+use octobayes::rays::{Pixels, SamplesWriter};
+use octobayes::{Error, Result};
+
+/// Why cameras may see little of splats.
+const FRAMES_OF_SPLATS: &str = "splats in a frame that their training normalised (nerfstudio's: pass the run's \
+                                dataparser_transforms.json as --cameras; gsplat's), with the axes of glTF, or cameras \
+                                whose cx and cy are missing";
+
+octobayes::setters! {
+    /// Everything that a user can ask of a run of some model.
+    pub struct Session {
+        views: Views as skip,
+        cameras: Vec<Camera> as skip,
+        writer: RefCell<Option<SamplesWriter>> as skip,
+        /// Which pixels of each camera the model was trained on, if not all; by default, by the frames' masks.
+        masks: Vec<Option<Mask>>,
+        /// Checksum of the model's content, if known.
+        checksum: Option<u32>,
+        /// What the field covers; `None` for what the model does.
+        domain: Option<Domain>,
+        /// Which rays are drawn, and how they are differentiated.
+        rays: RaySettings,
+        /// What lay behind the scene in training, if the user names it. For splats a file beside them may state it, or
+        /// images may fit white or black better; else it is the background of `rays`.
+        background: Option<Vec3>,
+        /// The file of the model, beside which others may lie.
+        model_file: Option<PathBuf>,
+        /// The grid on which information is summed. `choices` decide on its scale, level, covariance and sums.
+        grid: GridSettings,
+        /// What was chosen, and what the field is for.
+        choices: Choices,
+        /// Which rays are drawn, and when the run ends.
+        goal: Goal,
+        /// Where the state is saved.
+        checkpoint: Option<Checkpoint>,
+        /// The folder of sums that a budget of memory has no room for; `None` for the system's folder of such files.
+        scratch: Option<PathBuf>,
+        /// Images that the model is compared with, for the deviation of depth.
+        images: Option<TrainingImages>,
+        /// Where the samples are written.
+        dump: Option<PathBuf>,
+        /// Whether what skipped samples and derivatives cost is measured.
+        audit: bool,
+        /// Whether cameras are taken although the model does not show their images.
+        force: bool,
+        /// Whether the model's coordinates were chosen for a camera file, which is a likely cause of seeing little.
+        has_chosen_coordinates: bool,
+        /// Whether the angle of view was given, which is another.
+        has_given_fov: bool,
+        /// What the field is computed from, for people.
+        source: String as skip,
+    }
+}
+
+/// A run that was checked, before its first ray.
+pub struct Prepared<'a> {
+    session: &'a Session,
+    model: &'a dyn Model,
+    monitor: &'a dyn Monitor,
+    pub(super) run: Run<'a>,
+    pub(super) grid: GridSettings,
+    pub(super) start: Instant,
+    step: Option<StepCheck>,
+    audit: Option<Audit>,
+    images: Option<ImageCheck>,
+}
+
+impl Session {
+    /// A run over the training pixels of `views`, with default settings. Reads the frames' masks. `source` says for
+    /// people what model and cameras are.
+    ///
+    /// # Errors
+    /// If a mask cannot be read.
+    pub fn new(views: Views, source: impl Into<String>) -> Result<Self> {
+        Ok(Self {
+            cameras: views.cameras(),
+            masks: read_masks(&views.frames)?,
+            views,
+            writer: RefCell::default(),
+            checksum: None,
+            domain: None,
+            rays: RaySettings::default(),
+            background: None,
+            model_file: None,
+            grid: GridSettings::default(),
+            choices: Choices::default(),
+            goal: Goal::default(),
+            checkpoint: None,
+            scratch: None,
+            images: None,
+            dump: None,
+            audit: false,
+            force: false,
+            has_chosen_coordinates: false,
+            has_given_fov: false,
+            source: source.into(),
+        })
+    }
+
+    /// Prepares the run of `model`, and checks what can be checked before its first ray.
+    ///
+    /// # Errors
+    /// If settings do not go together, if the cameras see nothing of the model, if it shows nothing of the images
+    /// beside them (unless forced), as [`Estimation::prepare`], or if the work was interrupted.
+    pub fn prepare<'a>(
+        &'a self,
+        model: &'a dyn Model,
+        monitor: &'a dyn Monitor,
+        tell: &mut dyn FnMut(Message),
+    ) -> Result<Prepared<'a>> {
+        let start = Instant::now();
+        let choices = &self.choices;
+        let grid = choices.settle(self.grid, Some(model.centers().len()).filter(|count| *count > 0), tell)?;
+        let compares = model.lacks(Feature::Images).is_none();
+        if let (Some(Purpose::Depth), true, None) = (choices.purpose, compares, &self.images) {
+            let text = "deviations of depth lack the model's errors of colour: --images adds them";
+            tell(Message::Note(text.into()));
+        }
+        if self.audit {
+            require(model, Feature::March, "audit")?;
+        }
+        if self.images.is_some() {
+            require(model, Feature::Images, "--images")?;
+        }
+        model.remarks(&self.cameras).into_iter().for_each(&mut *tell);
+        checks::masks(&self.views, &self.masks, tell)?;
+        let (rays, images) = self.settled(model, monitor, tell)?;
+        let domain = match self.domain {
+            Some(domain) => domain,
+            None => {
+                let (domain, messages) = model.covered(&self.cameras, self.rays.background, monitor)?;
+                messages.into_iter().for_each(&mut *tell);
+                if let Domain::Contracted { .. } = domain {
+                    tell(Message::Note(format!("domain: the model's own, {domain} (--box for a box)")));
+                }
+                domain
+            }
+        };
+        let noise = model.training_noise();
+        let pixels = kept_pixels(&self.cameras, &self.masks);
+        let training = TrainingPixels { pixels: Some(pixels), noise };
+        let grid = grid.scale(choices.scale().over(&domain, choices.noise, training)?);
+        self.images.as_ref().map_or(Ok(()), |_| choices.scale().check_images())?;
+        if matches!(grid.scale, Scale::Data(_)) {
+            checks::pixels(&self.views, pixels, tell);
+        }
+        let run = self.estimation(model, domain, rays, grid)?.picture(self.picture()?).monitor(monitor).prepare()?;
+        let sight = run.sight()?;
+        // Camera files have one kind of coordinates for these models. If rays meet matter, but outside the domain, they
+        // are right.
+        let is_chosen = self.has_chosen_coordinates && sight.meet_matter <= 2.0 * sight.meet_domain;
+        let is_of_splats = !model.centers().is_empty();
+        let frame = if sight.causes().is_some() { world::other_frame(model.centers(), &self.views)? } else { None };
+        let causes = [
+            frame.as_deref().or(is_of_splats.then_some(FRAMES_OF_SPLATS)),
+            is_chosen.then_some("--cameras in other units and axes than those of NeRF-synthetic"),
+            self.has_given_fov.then_some("--fov"),
+        ];
+        checks::sight(&sight, &causes.into_iter().flatten().collect::<Vec<_>>(), tell)?;
+        let step = run.check_step()?;
+        let warnings = [run.check_positions()?.warning(), step.as_ref().and_then(StepCheck::warning)];
+        warnings.into_iter().flatten().for_each(|text| tell(Message::Warning(text)));
+        let audit = self.audit.then(|| run.audit()).transpose()?;
+        let mut prepared = Prepared { session: self, model, monitor, run, grid, start, step, audit, images };
+        prepared.check_images(sight.causes().is_none(), tell)?;
+        Ok(prepared)
+    }
+
+    /// The settings of rays with the background that is used; and the comparison of splats with their images in front
+    /// of it, if that decided.
+    fn settled(
+        &self,
+        model: &dyn Model,
+        monitor: &dyn Monitor,
+        tell: &mut dyn FnMut(Message),
+    ) -> Result<(RaySettings, Option<ImageCheck>)> {
+        let rays = self.rays.background(self.background.unwrap_or(self.rays.background));
+        if !model.leaves_background_open() {
+            return Ok((rays, None));
+        }
+        let name = |color: Vec3| if color == Vec3::ONE { "white" } else { "black" };
+        let args = TrainingArgs::beside(&self.files_of_training());
+        if let Some(args) = &args {
+            checks::sizes(args, &self.views, tell);
+        }
+        if let Some((args, own)) = args.as_ref().and_then(|args| Some((args, args.background()?))) {
+            let (path, own_name) = (args.path.display(), name(own));
+            match self.background {
+                None => tell(Message::Note(format!("{path}: {own_name} lay behind the splats (--background)"))),
+                Some(chosen) if chosen != own => tell(Message::Warning(format!(
+                    "{path}: {own_name} lay behind the splats in training, but not by --background"
+                ))),
+                Some(_) => {}
+            }
+            return Ok((rays.background(self.background.unwrap_or(own)), None));
+        }
+        if self.background.is_some() {
+            return Ok((rays, None));
+        }
+        self.cameras.iter().try_for_each(|camera| model.check_camera(camera))?;
+        let renderer = model.for_images(&rays, None, monitor)?;
+        let (known, offset) = (model.training_cameras(), rays.offset_for(model));
+        let found = check_images(&*renderer, known, self.frames_with_images(), offset, None, monitor)?;
+        if let Some((best, [psnr, other])) = found.as_ref().and_then(ImageCheck::clear_background) {
+            tell(Message::Note(format!(
+                "{} lay behind the splats by the images beside the cameras: {psnr:.1} dB, {other:.1} dB otherwise \
+                 (--background)",
+                name(best)
+            )));
+            return Ok((rays.background(best), found.filter(|_| best == rays.background)));
+        }
+        tell(Message::Note(format!(
+            "it is not known what lay behind the splats in training: {} is assumed; the original code has black \
+             unless `white_background` is set (--background)",
+            name(rays.background)
+        )));
+        Ok((rays, found))
+    }
+
+    /// The files beside which the original code of Gaussian splatting writes what it was run with.
+    fn files_of_training(&self) -> Vec<&Path> {
+        [self.model_file.as_deref(), Some(self.views.path.as_path())].into_iter().flatten().collect()
+    }
+
+    /// The frames whose images are compared with the model before the run.
+    fn frames_with_images(&self) -> &[Frame] {
+        self.images.as_ref().map_or(&*self.views.frames, TrainingImages::frames)
+    }
+
+    /// Bytes that decoding the largest picture takes: a mask, or an image that is compared.
+    fn picture(&self) -> Result<u64> {
+        let masks = memory_of_masks(&self.views.frames);
+        if let Some(budget) = self.grid.memory.filter(|&budget| masks > budget) {
+            let expected =
+                format!("at least {} MB, to decode the largest mask, or smaller masks", masks / 1_000_000 + 1);
+            return Err(Error::setting("memory budget", expected, format!("{} MB", budget / 1_000_000)));
+        }
+        Ok(masks.max(memory_of_images(self.frames_with_images())))
+    }
+
+    fn estimation<'a>(
+        &'a self,
+        model: &'a dyn Model,
+        domain: Domain,
+        rays: RaySettings,
+        grid: GridSettings,
+    ) -> Result<Estimation<'a>> {
+        if let Some(path) = &self.dump {
+            self.writer.replace(Some(SamplesWriter::create(path)?));
+        }
+        let estimation = Estimation::new(model, &self.cameras);
+        let estimation =
+            estimation.masks(&self.masks).domain(domain).rays(rays).grid(grid).goal(self.goal).source(&*self.source);
+        let estimation = self.checksum.into_iter().fold(estimation, Estimation::checksum);
+        let estimation = self.checkpoint.iter().cloned().fold(estimation, Estimation::checkpoint);
+        let estimation = self.scratch.iter().fold(estimation, Estimation::scratch);
+        Ok(match &self.dump {
+            None => estimation,
+            Some(_) => {
+                estimation.tap(|batches| self.writer.borrow_mut().as_mut().map_or(Ok(()), |writer| writer.add(batches)))
+            }
+        })
+    }
+
+    /// Notes how many of the run's rays a checkpoint holds, if it holds any.
+    fn note_progress(&self, rays: u64, then: &str, tell: &mut dyn FnMut(Message)) {
+        let Some(checkpoint) = &self.checkpoint else { return };
+        let drawn = checkpoint.rays(self.goal.groups());
+        if drawn > 0 {
+            let path = checkpoint.path().display();
+            tell(Message::Note(format!("{path} holds {drawn} of {rays} rays; {then}")));
+        }
+    }
+}
+
+impl Prepared<'_> {
+    /// Compares the model with the images beside the cameras. Refuses cameras whose images it does not show at all,
+    /// unless forced. Warns if it shows them poorly, and of splats that may lie in another frame, unless images speak
+    /// against that or the message was sent already. Notes how well splats show them.
+    fn check_images(&mut self, is_frame_open: bool, tell: &mut dyn FnMut(Message)) -> Result<()> {
+        let (session, stream) = (self.session, self.run.stream());
+        let (frames, offset, room) = (session.frames_with_images(), stream.pixel_offset, self.run.room_for_pictures());
+        let found = match self.images.take() {
+            Some(found) => Some(found),
+            None => check_images(&*stream.source, self.model.training_cameras(), frames, offset, room, self.monitor)?,
+        };
+        let are_shown = found.as_ref().is_some_and(|found| found.warnings().is_empty());
+        if let Some(frame) = (is_frame_open && !are_shown)
+            .then(|| world::other_frame(self.model.centers(), &session.views))
+            .transpose()?
+            .flatten()
+        {
+            tell(Message::Warning(format!("probably {frame}")));
+        }
+        let Some(found) = found else { return Ok(()) };
+        if !session.force {
+            found.refuse()?;
+        }
+        let warnings = found.warnings();
+        found.note().filter(|_| warnings.is_empty()).into_iter().for_each(|text| tell(Message::Note(text)));
+        warnings.into_iter().for_each(|text| tell(Message::Warning(text)));
+        self.images = Some(found);
+        Ok(())
+    }
+
+    /// Compares the model with its training images, if they were given.
+    fn compared(&self) -> Result<Option<Compared>> {
+        let Some(images) = &self.session.images else { return Ok(None) };
+        let of_run = self.session.rays;
+        let settings = RaySettings::for_images()
+            .background(self.session.background.unwrap_or(of_run.background))
+            .occupancy(of_run.occupancy)
+            .march_step(of_run.march_step)
+            .pixel_offset(of_run.pixel_offset);
+        let renderer = self.model.for_images(&settings, None, self.monitor)?;
+        images.compare(&*renderer, settings.offset_for(self.model), self.run.lattice(), self.monitor).map(Some)
+    }
+
+    /// Whether the number of rays is known beforehand.
+    pub(super) fn has_fixed_rays(&self) -> bool {
+        !matches!(self.session.goal, Goal::MeanError(_))
+    }
+
+    /// What is known of the errors before the first ray.
+    pub(super) fn known_errors(&self) -> ErrorBudget {
+        let mut errors = ErrorBudget::of_settings(&self.grid);
+        (errors.audit, errors.step) = (self.audit, self.step.clone());
+        errors
+    }
+
+    /// Draws the rays and computes the field, with what belongs to it.
+    ///
+    /// # Errors
+    /// If a training image cannot be read, as [`Run::finish`], or if the samples cannot be written.
+    pub fn finish(self, tell: &mut dyn FnMut(Message)) -> Result<Finished> {
+        // Before the rays, so that a wrong image ends the work at once.
+        let compared = self.compared()?;
+        let (has_fixed_rays, of_run) = (self.has_fixed_rays(), self.grid);
+        let Self { session, model, monitor, run, start, step, audit, images, .. } = self;
+        let (rays, grid) = (run.rays(), &session.grid);
+        let could_pool = session.rays.pixels != Pixels::Every && model.lacks(Feature::Pooling).is_none();
+        if session.checkpoint.as_ref().is_some_and(|checkpoint| !checkpoint.is_restart()) {
+            session.note_progress(rays, "--restart discards them", tell);
+        }
+        let foresight = Foresight::of(&run, &of_run);
+        if !run.is_foreseen_under_way() && grid.memory.is_some() && has_fixed_rays {
+            foresight.check(&run.forecast()?, tell)?;
+        }
+        let outcome = run.finish_foreseen(&mut |plan| foresight.check(plan, tell)).inspect_err(|error| {
+            if matches!(error, Error::Interrupted) {
+                session.note_progress(rays, "the same command goes on", tell);
+            }
+        })?;
+        let Outcome { field, progress, sums_bytes, disk_bytes, mut errors, .. } = outcome;
+        (errors.audit, errors.step) = (audit, step);
+        if let (Some(RayError::Halves(error)), Goal::MeanError(target)) = (errors.rays, session.goal)
+            && (error.mean > target || error.vertices == 0)
+        {
+            let rays = progress.rays;
+            let text = format!("stopped at --rays {rays}; the mean error is still above {target:?} decades");
+            tell(Message::Warning(text));
+        }
+        if let Some((budget, peak)) = grid.memory.zip(peak()).filter(|(budget, peak)| peak > budget) {
+            let of_field = field.memory().iter().map(|part| part.1).sum();
+            let [budget, peak] = [budget, peak].map(|size| bytes(size as usize));
+            let text = format!(
+                "--memory {budget} was exceeded: {peak} at the peak; the field itself takes {}",
+                bytes(of_field)
+            );
+            tell(Message::Warning(text));
+        }
+        if let Some(first) = progress.first_invalid {
+            let dropped = progress.dropped;
+            tell(Message::Warning(format!("{dropped} rays dropped, the field is not finite; first at {first:?}")));
+        }
+        if let Some(writer) = session.writer.take() {
+            writer.finish(progress.rays, kept_pixels(&session.cameras, &session.masks))?;
+        }
+        let field = match compared {
+            Some(compared) => compared.join(field)?,
+            None => field,
+        };
+        checks::field(&field, session.grid.pooling, could_pool, tell);
+        checks::unseen(model, &field, &session.cameras, monitor, tell)?;
+        Ok(Finished {
+            field,
+            errors,
+            elapsed: start.elapsed(),
+            sums_bytes,
+            images,
+            disk_bytes,
+            checkpoint: session.checkpoint.clone().map(|checkpoint| (checkpoint, session.goal.groups())),
+        })
+    }
+}

@@ -1,0 +1,293 @@
+//! Questions: do depth errors lie within the deviations that a field of the data's scale gives them? What ranks them
+//! best? What tells surfaces that no training view saw?
+//!
+//! Hash grids trained on few or one-sided views of meshes that are ray-traced here, with exact depth, and of lego, and
+//! models of lego that others trained, and of photographs of a kitchen, judged on held-out views. Writes the blocks of
+//! `experiments/depth.md`.
+
+mod baselines;
+mod candidates;
+mod correlations;
+mod full;
+mod joint;
+mod judge;
+mod misses;
+mod parameters;
+mod pictures;
+mod pretrained;
+mod regression;
+mod scene;
+mod tables;
+mod warp;
+
+use std::path::Path;
+
+use octobayes::evaluate::Baseline;
+use octobayes::render::RayAverage;
+use octobayes::synth::Up;
+use octobayes::{Error, Result};
+
+use common::program::{Needs, Program};
+use common::settings::{describe, seeds};
+use common::work::Work;
+use judge::{LEVELS, Row, STRIDE, grid, measure, rays};
+use scene::{SIDE, Scene, Seen, TEST_VIEWS};
+
+const SEEDS: [u64; 3] = [0, 1, 2];
+/// Steps of training, and those of models of greater strength.
+const STEPS: u64 = 1000;
+const STRONG: u64 = 6000;
+/// Models of an ensemble, the judged one among them.
+const ENSEMBLE: u64 = 10;
+
+const HALF: Seen = Seen::Arc(90.0, 270.0);
+/// All around but for a hole of 75°.
+const HOLE: Seen = Seen::Arc(75.0, 360.0);
+/// A trajectory on one side.
+const SIDE_ONLY: Seen = Seen::Arc(200.0, 290.0);
+const FEW: Seen = Seen::Few(8);
+
+const SPOT: (&str, Up) = ("spot", Up::Y);
+const BUNNY: (&str, Up) = ("stanford-bunny", Up::Y);
+const ARMADILLO: (&str, Up) = ("armadillo", Up::Y);
+const NEFERTITI: (&str, Up) = ("nefertiti", Up::Z);
+const KNOT: (&str, Up) = ("knot", Up::Z);
+const LEGO: (&str, Up) = ("lego", Up::Z);
+const KITCHEN: (&str, Up) = ("kitchen", Up::Z);
+
+/// Scenes by which anything was chosen: the density of errors, and the default for ranking.
+const CHOOSING: [((&str, Up), Seen); 6] =
+    [(SPOT, FEW), (SPOT, HALF), (ARMADILLO, FEW), (BUNNY, HALF), (NEFERTITI, FEW), (BUNNY, HOLE)];
+/// Scenes by which nothing was chosen.
+const TESTING: [((&str, Up), Seen); 10] = [
+    (BUNNY, FEW),
+    (ARMADILLO, HALF),
+    (NEFERTITI, HALF),
+    (SPOT, HOLE),
+    (ARMADILLO, HOLE),
+    (NEFERTITI, HOLE),
+    (BUNNY, SIDE_ONLY),
+    (SPOT, SIDE_ONLY),
+    (ARMADILLO, SIDE_ONLY),
+    (NEFERTITI, SIDE_ONLY),
+];
+/// Lego has its own block: its depth maps have steps wider than many errors.
+const OF_LEGO: [((&str, Up), Seen); 4] = [(LEGO, FEW), (LEGO, HALF), (LEGO, HOLE), (LEGO, SIDE_ONLY)];
+/// Lego from few to all of its views.
+const LEGO_BY_VIEWS: [((&str, Up), Seen); 4] =
+    [(LEGO, Seen::Few(5)), (LEGO, Seen::Few(10)), (LEGO, Seen::Few(20)), (LEGO, Seen::Few(100))];
+/// Photographs, with the depth of a sensor.
+const OF_A_KITCHEN: [((&str, Up), Seen); 1] = [(KITCHEN, Seen::Few(15))];
+
+/// Scenes that pictures are made of: those of meshes whose terms allow it.
+const PICTURED: [((&str, Up), Seen); 3] = [(SPOT, HALF), (BUNNY, HALF), (ARMADILLO, HALF)];
+
+fn scenes(cases: &[((&'static str, Up), Seen)], steps: u64) -> Vec<Scene> {
+    cases.iter().map(|&((mesh, up), seen)| Scene { mesh, up, seen, steps }).collect()
+}
+
+fn main() -> Result<()> {
+    let program = Program::start(
+        "depth",
+        &[
+            ("built-in", Needs::Nothing),
+            ("pictures", Needs::Nothing),
+            ("views", Needs::Data),
+            ("meshes", Needs::Data),
+            ("ensembles", Needs::Data),
+            ("strong", Needs::Data),
+            ("lego", Needs::Data),
+            ("lego-by-views", Needs::Data),
+            ("kitchen", Needs::Data),
+            ("pretrained", Needs::Data),
+            ("misses", Needs::Data),
+            ("correlations", Needs::Data),
+        ],
+    )?;
+    program.part("built-in", |work| {
+        let scenes = scenes(&[(KNOT, FEW), (KNOT, HALF)], STEPS);
+        let rows = study(work, &scenes, &SEEDS, 1)?;
+        let text = [
+            tables::coverage(&names(&scenes), &rows),
+            tables::beside(&rows, &meshes(&scenes), Baseline::RayVariance.name()),
+            tables::lengths("", &rows, 0.0),
+        ];
+        Ok((settings(STEPS, &SEEDS), text.join("\n")))
+    })?;
+    program.part("pictures", |_| {
+        let scene = scenes(&[(KNOT, FEW)], STRONG)[0];
+        Ok((settings_with(SIDE, 1, STRONG, &SEEDS[..1]), pictures::for_the_book(&scene)?))
+    })?;
+    program.part("views", |_| {
+        let scenes = scenes(&PICTURED, STEPS);
+        Ok((settings_with(SIDE, 1, STEPS, &SEEDS[..1]), pictures::for_the_report(&scenes)?))
+    })?;
+    program.part("meshes", |work| {
+        let scenes = scenes(&[&CHOOSING[..], &TESTING].concat(), STEPS);
+        let rows = study(work, &scenes, &SEEDS, 1)?;
+        let (choosing, testing) = rows.split_at(CHOOSING.len());
+        let text = [
+            tables::coverage(&names(&scenes), &rows),
+            tables::ranking(choosing, testing, &meshes(&scenes[CHOOSING.len()..])),
+            tables::never_seen(testing),
+            tables::joint(&scenes, &rows),
+            tables::lengths(", scenes that choose", choosing, 0.0),
+            tables::lengths(", scenes that have no say", testing, 0.0),
+            tables::costs(&rows),
+        ];
+        Ok((settings(STEPS, &SEEDS), text.join("\n")))
+    })?;
+    program.part("ensembles", |work| {
+        let scenes = scenes(&TESTING, STEPS);
+        let rows = study(work, &scenes, &SEEDS[..1], ENSEMBLE)?;
+        let text = [tables::beside(&rows, &meshes(&scenes), Baseline::EnsembleVariance.name()), tables::costs(&rows)];
+        Ok((settings(STEPS, &SEEDS[..1]), text.join("\n")))
+    })?;
+    program.part("strong", |work| {
+        let scenes = scenes(&TESTING, STRONG);
+        let rows = study(work, &scenes, &SEEDS, 1)?;
+        let text = [
+            tables::coverage(&names(&scenes), &rows),
+            tables::beside(&rows, &meshes(&scenes), &default_ranking()),
+            tables::never_seen(&rows),
+            tables::lengths("", &rows, 0.0),
+            tables::costs(&rows),
+        ];
+        Ok((settings(STRONG, &SEEDS), text.join("\n")))
+    })?;
+    program.part("lego", |work| of_lego(work, &OF_LEGO))?;
+    program.part("lego-by-views", |work| of_lego(work, &LEGO_BY_VIEWS))?;
+    program.part("kitchen", |work| {
+        let scenes = scenes(&OF_A_KITCHEN, STEPS);
+        let rows = study(work, &scenes, &SEEDS, 1)?;
+        let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
+        let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths("", &rows, 0.0)];
+        let (described, of, pixels) = (describe(&rays(), &grid(), &[]), seeds(&SEEDS), compared(STRIDE));
+        let settings = format!("320 × 240 pixels, {STEPS} steps; {pixels} of the 10 held-out views. {described} {of}");
+        Ok((settings, text.join("\n")))
+    })?;
+    program.part("pretrained", |work| {
+        let row = |name: &&str| Ok(vec![work.row(name, || pretrained::measure(name))?]);
+        let rows = pretrained::NAMES.iter().map(row).collect::<Result<Vec<_>>>()?;
+        let names = pretrained::NAMES.map(str::to_owned);
+        let text = [
+            tables::coverage(&names, &rows),
+            tables::beside(&rows, &["lego"; pretrained::NAMES.len()], &default_ranking()),
+            tables::lengths("", &rows, scene::LEGO_STEP.powi(2) / 12.0),
+            tables::costs(&rows),
+        ];
+        Ok((pretrained::settings(), text.join("\n")))
+    })?;
+    program.part("misses", |work| {
+        let scenes = scenes(&MISSED, STEPS);
+        let mut names = names(&scenes);
+        let trained = |scene: &Scene, degrees: f64, seed: &u64| {
+            work.row((scene.name(), scene.steps, degrees, *seed), || {
+                let folder =
+                    tempfile::tempdir().map_err(Error::io(Path::new("a temporary folder"), "cannot create"))?;
+                let data = scene.data(folder.path())?.turned(degrees);
+                let model = scene.train(&data, *seed)?;
+                misses::judge(&data, &model.field, model.psnr, rays().seed(*seed))
+            })
+        };
+        let mut rows = Vec::new();
+        for scene in &scenes {
+            rows.push(MISSED_SEEDS.iter().map(|seed| trained(scene, 0.0, seed)).collect::<Result<Vec<_>>>()?);
+        }
+        for degrees in TURNED {
+            names.push(format!("{}, poses off by {degrees}°", scenes[0].name()));
+            rows.push(MISSED_SEEDS.iter().map(|seed| trained(&scenes[0], degrees, seed)).collect::<Result<Vec<_>>>()?);
+        }
+        for name in pretrained::NAMES {
+            names.push(name.to_owned());
+            rows.push(vec![work.row(name, || pretrained::missed(name))?]);
+        }
+        let text = [misses::coverage(&names, &rows), misses::causes(&names, &rows)];
+        let (described, of) = (describe(&rays(), &grid(), &[]), seeds(&MISSED_SEEDS));
+        let settings = format!(
+            "{STEPS} steps; images and held-out pixels as in the parts of meshes, lego, kitchen and pretrained. \
+             {described} {of} Models that others trained: {}",
+            pretrained::settings()
+        );
+        Ok((settings, text.join("\n")))
+    })?;
+    program.part("correlations", |work| {
+        let mut rows = Vec::new();
+        for scene in scenes(&PRICED, STEPS) {
+            for level in correlations::LEVELS {
+                rows.push(work.row((scene.name(), level), || correlations::measure(&scene, level))?);
+            }
+        }
+        Ok((correlations::settings(), correlations::table(&rows)))
+    })
+}
+
+/// Scenes whose misses are looked at: those where intervals fail, and two where they hold.
+const MISSED: [((&str, Up), Seen); 7] = [
+    (SPOT, FEW),
+    (ARMADILLO, HALF),
+    (LEGO, FEW),
+    (LEGO, HALF),
+    (LEGO, HOLE),
+    (LEGO, SIDE_ONLY),
+    (KITCHEN, Seen::Few(15)),
+];
+const MISSED_SEEDS: [u64; 2] = [0, 1];
+/// How far the poses of the first of them are turned, degrees: a pixel is 0.2.
+const TURNED: [f64; 2] = [0.2, 1.0];
+
+/// Scenes on which the price of correlations is measured.
+const PRICED: [((&str, Up), Seen); 4] = [(BUNNY, FEW), (ARMADILLO, HALF), (SPOT, HOLE), (NEFERTITI, HOLE)];
+
+/// Coverage and ranking on lego, whose images have twice the side of the meshes'.
+fn of_lego(work: &Work, cases: &[((&'static str, Up), Seen)]) -> Result<(String, String)> {
+    let scenes = scenes(cases, STEPS);
+    let rows = study(work, &scenes, &SEEDS, 1)?;
+    let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
+    let truth = scene::LEGO_STEP.powi(2) / 12.0;
+    let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths("", &rows, truth)];
+    Ok((settings_with(2 * SIDE, 2 * STRIDE, STEPS, &SEEDS), text.join("\n")))
+}
+
+/// All rows of each scene, each beside an ensemble of so many if it is more than one.
+fn study(work: &Work, scenes: &[Scene], seeds: &[u64], ensemble: u64) -> Result<Vec<Vec<Row>>> {
+    // Seeds outside: if it is interrupted, whole seeds are done.
+    let mut all = vec![Vec::new(); scenes.len()];
+    for &seed in seeds {
+        for (scene, rows) in scenes.iter().zip(&mut all) {
+            let key = (scene.name(), scene.steps, ensemble, seed);
+            rows.push(work.row(key, || measure(scene, seed, ensemble))?);
+        }
+    }
+    Ok(all)
+}
+
+fn names(scenes: &[Scene]) -> Vec<String> {
+    scenes.iter().map(Scene::name).collect()
+}
+
+fn meshes(scenes: &[Scene]) -> Vec<&'static str> {
+    scenes.iter().map(|scene| scene.mesh).collect()
+}
+
+/// The measure that rendering ranks pixels by, unless told otherwise.
+fn default_ranking() -> String {
+    format!("block {}, {}", LEVELS[1], RayAverage::USpreadPerRootRay.name())
+}
+
+fn settings(steps: u64, of: &[u64]) -> String {
+    settings_with(SIDE, STRIDE, steps, of)
+}
+
+/// Which pixels of a view are compared, in words.
+#[must_use]
+pub fn compared(every: u32) -> String {
+    if every == 1 { "all pixels".into() } else { format!("one pixel in {every} along x and y") }
+}
+
+/// `every`: of the pixels of the held-out views, one in so many counts along x and y.
+fn settings_with(side: u32, every: u32, steps: u64, of: &[u64]) -> String {
+    let described = describe(&rays(), &grid(), &[]);
+    let (of, pixels) = (seeds(of), compared(every));
+    format!("{side} × {side} pixels, {steps} steps; {pixels} of {TEST_VIEWS} held-out views. {described} {of}")
+}

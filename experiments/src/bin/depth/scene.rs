@@ -1,0 +1,273 @@
+//! A mesh or lego, what a model saw of it, and the model.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3, Vec3};
+use octobayes::dataset::{DepthKind, DepthReadings, Frame, Views};
+use octobayes::evaluate::{DepthFiles, DepthMeaning, TrueView};
+use octobayes::field::HashGrid;
+use octobayes::geometry::{Camera, Domain};
+use octobayes::monitor::Silent;
+use octobayes::synth::{DEPTH_PNG_SCALE, DatasetSettings, Mesh, MeshScene, Up, write_dataset};
+use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, quality};
+use octobayes::{Error, Result};
+use rand::rngs::ChaCha8Rng;
+use rand::{RngExt, SeedableRng};
+use serde::Serialize;
+
+use common::kitchen::kitchen;
+use common::knot::knot;
+use common::program::Program;
+use common::train::hash_grid;
+use common::visibility::{NEAR, is_seen};
+
+/// Side of the images of meshes, pixels.
+pub const SIDE: u32 = 200;
+/// Of lego's images, which have 400 pixels a side, every so many pixels count where all of a mesh's would.
+const LEGO_STRIDE: u32 = 2;
+/// Views around a mesh, of which a scene takes some.
+const VIEWS: u32 = 40;
+/// Held-out views all around.
+pub const TEST_VIEWS: u32 = 20;
+/// Pixels of training images by which their noise is measured, about.
+const PIXELS: usize = 20_000;
+/// Every so many pixels of the training images count for the residuals, along x and y.
+const RESIDUAL_STRIDE: u32 = 2;
+/// Every so many pixels of the training images count for the regression, along x and y.
+const REGRESSION_STRIDE: u32 = 4;
+/// Distance between the values of lego's depth maps, scene units.
+pub const LEGO_STEP: f64 = 8.0 / 255.0;
+/// Neighbouring depths that differ by more steps of the map than this straddle an edge.
+const EDGE: f64 = 2.5;
+
+/// Which views of a mesh a model is trained on.
+#[derive(Clone, Copy, PartialEq, Serialize)]
+pub enum Seen {
+    /// So many, all around.
+    Few(usize),
+    /// Those from azimuths between these two, degrees.
+    Arc(f64, f64),
+}
+
+/// A mesh or lego, which way up it stands, what was seen of it, and how long models of it are trained.
+#[derive(Clone, Copy)]
+pub struct Scene {
+    pub mesh: &'static str,
+    pub up: Up,
+    pub seen: Seen,
+    /// Steps of training.
+    pub steps: u64,
+}
+
+impl Scene {
+    pub fn name(&self) -> String {
+        let seen = match self.seen {
+            Seen::Few(views) => format!("{views} views"),
+            Seen::Arc(from, to) if to - from > 180.0 => format!("hole of {:.0}°", 360.0 - (to - from)),
+            Seen::Arc(from, to) => format!("arc of {:.0}°", to - from),
+        };
+        format!("{}, {seen}", self.mesh)
+    }
+
+    /// The mesh's file, and the images of it in a folder.
+    fn images(&self, folder: &Path) -> Result<PathBuf> {
+        let file = if self.mesh == "knot" {
+            let file = folder.with_extension("obj");
+            std::fs::write(&file, knot()).map_err(Error::io(&file, "cannot write"))?;
+            file
+        } else {
+            Program::data()?.join(format!("meshes/{}.obj", self.mesh))
+        };
+        let settings = DatasetSettings::default().up(self.up).views(VIEWS).test_views(TEST_VIEWS);
+        write_dataset(&file, folder, &settings.resolution([SIDE; 2]).samples_per_side(2), &Silent)?;
+        Ok(file)
+    }
+
+    fn selection(&self, folder: &Path) -> Result<Selection> {
+        let (from, to) = match self.seen {
+            Seen::Few(views) => return Ok(Selection::Count(views)),
+            Seen::Arc(from, to) => (from, to),
+        };
+        let frames = Views::read(&folder.join("transforms_train.json"), None)?.frames;
+        let azimuth = |camera: &Camera| camera.position.y.atan2(camera.position.x).to_degrees().rem_euclid(360.0);
+        let inside = |camera: &Camera| (azimuth(camera) - from).rem_euclid(360.0) < to - from;
+        Ok(Selection::Indices((0..frames.len()).filter(|&i| inside(&frames[i].camera)).collect()))
+    }
+
+    /// Reads lego's images, or makes those of a mesh, below `folder`.
+    pub fn data(&self, folder: &Path) -> Result<Data> {
+        if self.mesh == "lego" {
+            return Data::lego(&self.selection(&lego()?)?, LEGO_STRIDE);
+        }
+        let folder = folder.join("images");
+        if self.mesh == "kitchen" {
+            let depth = kitchen(&folder)?;
+            let step = depth.scale.map_or(0.0, |[_, scale]| scale) / f64::from(u16::MAX);
+            return Data::read(folder.clone(), &self.selection(&folder)?, depth, step, 1);
+        }
+        let file = self.images(&folder)?;
+        let mesh = MeshScene::new(Mesh::read(&file)?.placed(self.up).0);
+        let (maps, pattern) = (Some(folder.join("depth")), "{}.png".into());
+        let depth =
+            DepthFiles { folder: maps, pattern, scale: Some([0.0, DEPTH_PNG_SCALE]), kind: DepthKind::Euclidean };
+        let step = DEPTH_PNG_SCALE / f64::from(u16::MAX);
+        let data = Data::read(folder.clone(), &self.selection(&folder)?, depth, step, 1)?;
+        Ok(Data { mesh: Some(mesh), ..data })
+    }
+
+    /// Trains a model of the scene.
+    pub fn train(&self, data: &Data, seed: u64) -> Result<Model> {
+        let field = hash_grid(TrainSettings::default().seed(seed), data.domain, &data.shots, self.steps)?;
+        let psnr = quality(&field, &data.shots, Vec3::ONE, PIXELS).map_or(f64::NAN, |quality| quality.psnr);
+        Ok(Model { field, psnr })
+    }
+}
+
+/// What there is to train on, and the truth about the scene.
+pub struct Data {
+    pub domain: Domain,
+    shots: Vec<Shot>,
+    /// Of the training images.
+    pub cameras: Vec<Camera>,
+    /// If the truth about visibility is known.
+    mesh: Option<MeshScene>,
+    /// The data set.
+    pub folder: PathBuf,
+    /// True depth of the held-out views.
+    depth: DepthFiles,
+    /// Distance between the values that a depth map can hold, scene units.
+    pub depth_step: f64,
+    /// Pixels whose neighbours' depth differs by more than this have none, scene units: the maps are means over them.
+    edge: Option<f64>,
+    /// Every so many pixels count where all pixels of a mesh's images would, along x and y.
+    stride: u32,
+}
+
+/// A trained model.
+pub struct Model {
+    pub field: HashGrid,
+    /// Of the training images, dB.
+    pub psnr: f64,
+}
+
+impl Data {
+    /// A selection of a data set's training images.
+    fn read(folder: PathBuf, selection: &Selection, depth: DepthFiles, depth_step: f64, stride: u32) -> Result<Self> {
+        let mut files = DatasetFiles::read(&folder)?;
+        files.select(selection, None)?;
+        let [shots, _] = files.load(&Silent)?;
+        let cameras = shots.iter().map(|shot| shot.camera).collect();
+        let domain = Domain::Box(files.bounds);
+        Ok(Self { domain, shots, cameras, mesh: None, folder, depth, depth_step, edge: None, stride })
+    }
+
+    /// Lego. Its depth maps have eight bits over eight scene units, and are means over four pixels of larger ones.
+    pub fn lego(selection: &Selection, stride: u32) -> Result<Self> {
+        let folder = lego()?;
+        let (maps, pattern) = (Some(folder.join("test")), "{}_depth_0001.png".into());
+        let depth = DepthFiles { folder: maps, pattern, scale: Some([8.0, -8.0]), kind: DepthKind::Euclidean };
+        let data = Self::read(folder, selection, depth, LEGO_STEP, stride)?;
+        Ok(Self { edge: Some(EDGE * LEGO_STEP), ..data })
+    }
+
+    /// The same with each training camera turned about an axis of its own: poses that are off.
+    pub fn turned(mut self, degrees: f64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(0);
+        for (shot, camera) in self.shots.iter_mut().zip(&mut self.cameras) {
+            let axis =
+                DVec3::from_array(std::array::from_fn(|_| random.random_range(-1.0..1.0))).normalize_or(DVec3::X);
+            shot.camera.axes = DMat3::from_axis_angle(axis, degrees.to_radians()) * shot.camera.axes;
+            *camera = shot.camera;
+        }
+        self
+    }
+
+    /// Every so many pixels of the held-out views, along x and y.
+    pub fn held_out(&self, pixel_offset: f64, stride: u32) -> Result<Vec<TrueView>> {
+        let views = Views::read(&self.folder.join("transforms_test.json"), None)?;
+        let found = self.depth.find(&views.path, &views.frames, &views.frames)?;
+        let (frames, encoding) = (found.frames, found.encoding);
+        let all_of_space = || Error::setting("domain", "a box", "all of space");
+        let bounds = *self.domain.bounds().ok_or_else(all_of_space)?;
+        let depth = DepthMeaning { encoding, bounds };
+        let every = frames.len().div_ceil(TEST_VIEWS as usize).max(1);
+        let stride = stride * self.stride;
+        let read = |frame: &Frame| {
+            let read = |stride| TrueView::read(frame, Some(&depth), DVec3::ONE, pixel_offset, stride);
+            let mut view = read(stride)?;
+            if let Some(edge) = self.edge {
+                let whole = read(1)?;
+                let [width, _] = view.camera.resolution;
+                for (i, distance) in (0..).zip(&mut view.distance) {
+                    *distance =
+                        distance.filter(|_| !is_beside_edge(&whole, [i % width, i / width].map(|n| n * stride), edge));
+                }
+            }
+            Ok(view)
+        };
+        frames.iter().step_by(every).map(read).collect()
+    }
+
+    /// The training cameras, as everything but training and rays looks through them.
+    pub fn strided_cameras(&self, pixel_offset: f64) -> Vec<Camera> {
+        self.cameras.iter().map(|camera| camera.strided(self.stride, pixel_offset)).collect()
+    }
+
+    /// The training images, as the residuals looks at them.
+    pub fn for_residuals(&self, pixel_offset: f64) -> Vec<TrueView> {
+        self.images(pixel_offset, RESIDUAL_STRIDE, None)
+    }
+
+    /// The training images, as a regression looks at them: every pixel has a depth, which means nothing.
+    pub fn for_regression(&self, pixel_offset: f64) -> Vec<TrueView> {
+        self.images(pixel_offset, REGRESSION_STRIDE, Some(0.0))
+    }
+
+    fn images(&self, pixel_offset: f64, stride: u32, depth: Option<f64>) -> Vec<TrueView> {
+        self.shots.iter().map(|shot| image(shot, pixel_offset, stride * self.stride, depth)).collect()
+    }
+
+    /// Whether it is known that no training camera saw this point of the true surface.
+    pub fn is_unseen(&self, x: DVec3) -> bool {
+        self.mesh.as_ref().is_some_and(|mesh| !self.cameras.iter().any(|camera| is_seen(mesh, camera, x, NEAR)))
+    }
+}
+
+/// Whether a pixel of a view has neighbours of unknown depth, or of depths farther apart than `edge`.
+fn is_beside_edge(view: &TrueView, [x, y]: [u32; 2], edge: f64) -> bool {
+    let [width, height] = view.camera.resolution;
+    let around = |n: u32, most: u32| n.saturating_sub(1)..=(n + 1).min(most - 1);
+    let pixels = around(y, height).flat_map(|row| around(x, width).map(move |column| row * width + column));
+    let depths: Option<Vec<f64>> = pixels.map(|i| view.distance[i as usize]).collect();
+    let Some(depths) = depths else { return true };
+    let [low, high] = [f64::min, f64::max].map(|either| depths.iter().copied().reduce(either).unwrap_or(0.0));
+    high - low > edge
+}
+
+/// The folder of lego's images.
+fn lego() -> Result<PathBuf> {
+    Ok(Program::data()?.join("nerf-lego-400"))
+}
+
+/// Every so many pixels of a training image, along x and y, with this depth.
+fn image(shot: &Shot, pixel_offset: f64, stride: u32, depth: Option<f64>) -> TrueView {
+    let camera = shot.camera.strided(stride, pixel_offset);
+    let [width, height] = camera.resolution;
+    let full = |row: u32, column: u32| ((row * shot.camera.resolution[0] + column) * stride) as usize;
+    let pixels = (0..height).flat_map(|row| (0..width).map(move |column| full(row, column)));
+    let colors: Vec<DVec3> = pixels.map(|i| shot.image.over(i, DVec3::ONE)).collect();
+    let (kept, covered, distance) = (vec![true; colors.len()], vec![true; colors.len()], vec![depth; colors.len()]);
+    let readings = DepthReadings::default();
+    TrueView {
+        name: shot.name.clone(),
+        camera,
+        whole: shot.camera,
+        stride,
+        pixel_offset,
+        colors,
+        kept,
+        covered,
+        distance,
+        readings,
+    }
+}

@@ -1,0 +1,102 @@
+//! Scores of splats: larger means less certain.
+
+use glam::{DMat3, DQuat, DVec3};
+use octobayes::Result;
+use octobayes::estimate::{Estimation, GridSettings, RaySettings};
+use octobayes::geometry::{Aabb, Camera, Domain};
+use octobayes::monitor::Silent;
+use octobayes::posterior::{Covariance, DataScale, Scale};
+use octobayes::rays::Pixels;
+use octobayes::render::{DepthSample, DepthVariance};
+use octobayes::splats::{SplatRenderer, Splats};
+use octobayes::uncertainty::DepthPosterior;
+use octobayes_show::export::SeenSplats;
+use rayon::prelude::*;
+
+use crate::blocks::{Blocks, Sums, trace};
+
+/// Level of the field.
+pub const LEVEL: u8 = 7;
+/// Neighbours to whose distance a splat's isolation is measured.
+const NEIGHBOURS: usize = 8;
+
+/// Names of the scores of [`all`], in its order.
+pub const NAMES: [&str; 13] = [
+    "U along the normal",
+    "U, block",
+    "U along the normal × largest scale",
+    "every splat by itself, normal",
+    "every splat by itself, block",
+    "PUP: −log det",
+    "FisherRF, colours",
+    "weight",
+    "views",
+    "1 − opacity",
+    "log volume",
+    "largest scale",
+    "distance of 8 neighbours",
+];
+
+/// The scores of all splats by every pixel of their cameras, `[NAMES][n]`. `noise`: error of the model's colours.
+pub fn all(splats: &Splats, cameras: &[Camera], bounds: Aabb, noise: f64) -> Result<Vec<Vec<f64>>> {
+    let domain = Domain::Box(bounds);
+    let scale = DataScale::from_cameras(cameras, noise, &domain)?;
+    let mut sums = Sums::new(splats);
+    let grid = GridSettings::default().level(LEVEL).covariance(Covariance::Block).keep_sums(true);
+    let run = Estimation::new(splats, cameras).domain(domain).grid(grid.scale(Scale::Data(scale)));
+    let run = run.rays(RaySettings::default().pixels(Pixels::Every)).tap(|batches| {
+        sums.add(batches);
+        Ok(())
+    });
+    let field = run.run()?.field;
+    let blocks = sums.blocks(&scale, scale.pixels);
+    let seen = SeenSplats::measure(&SplatRenderer::new(splats, glam::Vec3::ONE), cameras, 0.5, scale.pixels, &Silent)?;
+    let posterior = field.depth_posterior()?;
+    let each = |value: &(dyn Fn(usize) -> f64 + Sync)| (0..splats.len()).into_par_iter().map(value).collect::<Vec<_>>();
+    let normal = each(&|i| along(&posterior, splats, i, normal(splats, i)).sqrt());
+    let largest = each(&|i| f64::from(splats.scale(i).max_element()));
+    Ok(vec![
+        normal.clone(),
+        each(&|i| DVec3::AXES.map(|axis| along(&posterior, splats, i, axis)).iter().sum::<f64>().sqrt()),
+        each(&|i| normal[i] * largest[i]),
+        each(&|i| normal_of(&blocks, splats, i)),
+        each(&|i| trace(&blocks.covariance[i]).sqrt()),
+        each(&|i| -blocks.precision[i].determinant().ln()),
+        each(&|i| -blocks.fisher[i]),
+        each(&|i| -seen.weights[i]),
+        each(&|i| -f64::from(seen.views[i])),
+        each(&|i| 1.0 - f64::from(splats.opacity(i))),
+        each(&|i| f64::from(splats.log_scales()[i].element_sum())),
+        largest.clone(),
+        isolation(splats),
+    ])
+}
+
+/// The thin axis of a splat.
+fn normal(splats: &Splats, i: usize) -> DVec3 {
+    let q = splats.rotation(i);
+    let axes = DMat3::from_quat(DQuat::from_array(q.to_array().map(f64::from)).normalize());
+    axes.col(splats.scale(i).min_position())
+}
+
+/// Variance of a splat's centre along a unit vector under the field's posterior, scene units².
+fn along(posterior: &DepthPosterior, splats: &Splats, i: usize, direction: DVec3) -> f64 {
+    posterior.variance(&[DepthSample { position: splats.mean(i), gradient: direction }])
+}
+
+fn normal_of(blocks: &Blocks, splats: &Splats, i: usize) -> f64 {
+    let n = normal(splats, i);
+    n.dot(blocks.covariance[i] * n).sqrt()
+}
+
+/// Mean distance of each splat's nearest neighbours, scene units.
+fn isolation(splats: &Splats) -> Vec<f64> {
+    let of = |x: &glam::Vec3| {
+        let mut distances: Vec<f32> = splats.means().iter().map(|y| x.distance_squared(*y)).collect();
+        let near = NEIGHBOURS.min(distances.len() - 1);
+        distances.select_nth_unstable_by(near, f32::total_cmp);
+        // The splat itself is at distance 0.
+        distances[..=near].iter().map(|d| f64::from(d.sqrt())).sum::<f64>() / near.max(1) as f64
+    };
+    splats.means().par_iter().map(of).collect()
+}

@@ -1,0 +1,31 @@
+//! What the experiments share: scenes, clocks, tables, kept rows, and reports that a program writes.
+//!
+//! An experiment is a program with parts. Every part writes one block of `experiments/NAME.md`, between markers; the
+//! words around it are written by hand. Without arguments all parts run:
+//!
+//!     cargo experiment NAME -- [PART ...] [--work DIR] [--fresh]
+//!
+//! Rows that are finished are kept in the work folder, `target/experiments/NAME` by default, until their block is
+//! written. A run that was killed goes on from there.
+
+// Not published.
+#![allow(missing_docs)]
+
+pub mod ball;
+pub mod clock;
+pub mod fisher;
+pub mod halved;
+pub mod index;
+pub mod kitchen;
+pub mod knot;
+pub mod memory;
+pub mod program;
+pub mod ranking;
+pub mod report;
+pub mod scenes;
+pub mod settings;
+pub mod table;
+pub mod tables;
+pub mod train;
+pub mod visibility;
+pub mod work;
