@@ -27,13 +27,12 @@
 //!   be stored, queried, compared and merged.
 //! - [`estimate`] runs all of this: an [`Estimation`](estimate::Estimation) holds the settings of a run, and a
 //!   [`Plan`](estimate::Plan) bounds its time, memory and disk space by its first rays.
-//! - [`next_view`] ranks cameras by how much their images, not yet taken, would constrain the displacements.
 //! - [`dataset`] reads camera files, and [`open`] opens a model by its name: a file or a built-in scene.
 //!
-//! The program and the Python package are made of more modules and crates: `evaluate` and `metrics` judge fields on
-//! held-out views, `train` and `synth` make models and data, `octobayes-session` runs from files to files,
-//! `octobayes-show` draws and writes for other tools. They are not part of the interface, and these pages do not show
-//! them.
+//! The program and the Python package are made of more: `train` fits models, `octobayes-evaluation` judges fields on
+//! held-out views, `octobayes-next-view` ranks cameras by how much their images, not yet taken, would constrain the
+//! displacements, `octobayes-synth` makes data, `octobayes-show` draws and writes for other tools, and
+//! `octobayes-session` runs from files to files.
 //!
 //! # Example
 //!
@@ -72,9 +71,8 @@
 //! |---|---|
 //! | `files` | files of others: [`dataset`], [`open`], [`splats`], models of [`field`], ray samples, official grids |
 //! | `train` | [`field::HashGrid`], and its trainer; with `files` |
-//! | `evaluate` | `evaluate` and its metrics; with `files` |
 //! | `exr` | depth maps in OpenEXR; with `files` |
-//! | `synth` | `synth`; with `files` and `exr` |
+//! | `testing` | slow references for the tests of our other crates; with `files` |
 //!
 //! # Versions
 //!
@@ -112,9 +110,6 @@ pub mod choices;
 pub mod dataset;
 pub mod error;
 pub mod estimate;
-#[cfg(feature = "evaluate")]
-#[doc(hidden)]
-pub mod evaluate;
 pub mod field;
 pub mod geometry;
 #[doc(hidden)]
@@ -122,7 +117,6 @@ pub mod io;
 #[doc(hidden)]
 pub mod metrics;
 pub mod monitor;
-pub mod next_view;
 pub mod octree;
 #[cfg(feature = "files")]
 pub mod open;
@@ -130,9 +124,6 @@ pub mod posterior;
 pub mod rays;
 pub mod render;
 pub mod splats;
-#[cfg(feature = "synth")]
-#[doc(hidden)]
-pub mod synth;
 #[cfg(feature = "train")]
 #[doc(hidden)]
 pub mod train;

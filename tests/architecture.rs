@@ -224,13 +224,18 @@ fn imports_go_in_no_circle() {
     assert!(below.is_empty(), "rooms that import each other in a circle, or import one that does: {below:?}");
 }
 
+/// Whether a page's words are the path of a source.
+fn is_source(path: &str) -> bool {
+    ["src/", "crates/", "tests/"].iter().any(|folder| path.starts_with(folder)) && path.ends_with(".rs")
+}
+
 #[test]
 fn files_that_pages_name_exist() {
     for page in ["docs/architecture.md", "docs/src/how-it-works.md", "docs/src/formats.md"] {
         let text = read(&root().join(page));
         let mut named = 0;
         for (number, line) in text.lines().enumerate() {
-            for path in quoted(line).iter().filter(|path| path.starts_with("src/") && path.ends_with(".rs")) {
+            for path in quoted(line).iter().filter(|path| is_source(path)) {
                 assert!(root().join(path).is_file(), "{page}:{}: `{path}` is not there", number + 1);
                 named += 1;
             }

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use image::{ImageBuffer, Luma, Rgba, RgbaImage};
 use octobayes::dataset::{DepthKind, Views, write_transforms};
-use octobayes::evaluate::DepthFiles;
 use octobayes::{Error, Result};
+use octobayes_evaluation::DepthFiles;
 
 /// Pixels of a side.
 const SIDE: u32 = 200;

@@ -6,9 +6,9 @@ use glam::{DMat3, DVec3};
 use image::imageops::FilterType;
 use image::{ImageBuffer, ImageReader, Luma};
 use octobayes::dataset::DepthKind;
-use octobayes::evaluate::DepthFiles;
 use octobayes::geometry::{Camera, Distortion};
 use octobayes::{Error, Result};
+use octobayes_evaluation::DepthFiles;
 
 use super::program::Program;
 

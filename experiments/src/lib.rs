@@ -3,7 +3,9 @@
 //! An experiment is a program with parts. Every part writes one block of `experiments/NAME.md`, between markers; the
 //! words around it are written by hand. Without arguments all parts run:
 //!
-//!     cargo experiment NAME -- [PART ...] [--work DIR] [--fresh]
+//! ```text
+//! cargo experiment NAME -- [PART ...] [--work DIR] [--fresh]
+//! ```
 //!
 //! Rows that are finished are kept in the work folder, `target/experiments/NAME` by default, until their block is
 //! written. A run that was killed goes on from there.

@@ -5,12 +5,12 @@ use std::path::Path;
 use glam::DVec3;
 use octobayes::Result;
 use octobayes::dataset::{DepthKind, Views};
-use octobayes::evaluate::{
-    DepthError, DepthFiles, DepthMeaning, EvaluatedView, Evaluator, Measure, Reading, Score, TrueView,
-};
 use octobayes::geometry::Aabb;
 use octobayes::monitor::Silent;
 use octobayes::render::VolumeRenderer;
+use octobayes_evaluation::{
+    DepthError, DepthFiles, DepthMeaning, EvaluatedView, Evaluator, Measure, Reading, Score, TrueView,
+};
 use serde::{Deserialize, Serialize};
 
 use super::scenes::Scene;

@@ -2,11 +2,13 @@
 //!
 //! A block lies between two lines of its own:
 //!
-//!     <!-- begin generated: NAME -->
-//!     *octobayes 0.1.0, 2026-11-22, 2 threads on 2 cores, 0.4 min of time, 0.7 min of processors.* Settings.
+//! ```text
+//! <!-- begin generated: NAME -->
+//! *octobayes 0.1.0, 2026-11-22, 2 threads on 2 cores, 0.4 min of time, 0.7 min of processors.* Settings.
 //!
-//!     a table
-//!     <!-- end generated: NAME -->
+//! a table
+//! <!-- end generated: NAME -->
+//! ```
 //!
 //! A name occurs once in a report, and blocks do not contain each other.
 

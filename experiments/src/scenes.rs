@@ -10,9 +10,9 @@ use octobayes::field::{ClosedForm, Coordinates, Intrinsics, TrainedField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::open::open_in;
-use octobayes::synth::{DatasetSettings, Up, write_dataset};
 use octobayes::train::{DatasetFiles, TrainSettings};
 use octobayes::uncertainty::UncertaintyField;
+use octobayes_synth::{DatasetSettings, Up, write_dataset};
 
 use super::train::hash_grid;
 

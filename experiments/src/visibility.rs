@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use octobayes::geometry::{Camera, Ray};
-use octobayes::synth::MeshScene;
+use octobayes_synth::MeshScene;
 
 /// What may stand before a point of the surface, by rounding, scene units.
 pub const NEAR: f64 = 1e-3;

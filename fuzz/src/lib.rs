@@ -1,6 +1,6 @@
 //! What all fuzz targets do: make the file that the fuzzer's bytes describe, read it, and use what came of it.
 
-#[path = "../../tests/untrusted/mod.rs"]
+#[path = "../../crates/cli/tests/untrusted/mod.rs"]
 pub mod untrusted;
 
 use std::path::PathBuf;

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use octobayes::dataset::{DepthKind, Part, camera_file, passed_over};
-use octobayes::evaluate::{DepthFiles, Evaluation, Reading};
 use octobayes::monitor::Message;
 use octobayes::uncertainty::UncertaintyField;
+use octobayes_evaluation::{DepthFiles, Evaluation, Reading};
 use octobayes_session::CameraSource;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

@@ -3,14 +3,14 @@
 use numpy::PyReadonlyArray2;
 use octobayes::dataset::{Selection, rigid_pose};
 use octobayes::estimate::{GridSettings, RaySettings};
-use octobayes::evaluate::{DepthFiles, Evaluation};
 use octobayes::geometry::{Aabb, Camera, Distortion, Domain, Norm};
 use octobayes::glam::{DMat3, DVec3, Vec3};
-use octobayes::next_view::Settings;
 use octobayes::posterior::{Covariance, Criterion};
 use octobayes::rays::Pixels;
 use octobayes::render::RayAverage;
 use octobayes::uncertainty::{Comparison, OfficialGrid};
+use octobayes_evaluation::{DepthFiles, Evaluation};
+use octobayes_next_view::Settings;
 use octobayes_session::{Choices, Resolution};
 use octobayes_show::export::{MeshSettings, Surfaces};
 use pyo3::conversion::FromPyObjectOwned;

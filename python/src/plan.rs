@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::glam::DVec3;
 use octobayes::monitor::Message;
-use octobayes::next_view::{Around, GainMap, Made, NextView, Report, Settings};
+use octobayes_next_view::{Around, GainMap, Made, NextView, Report, Settings};
 use octobayes_session::Candidates;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

@@ -2,12 +2,12 @@
 
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
 use octobayes::estimate::{Model, RaySettings};
-use octobayes::evaluate::{Reading, TrainingViews};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Monitor;
 use octobayes::render::{DepthVariance, Pixel, Probe, RayAverage, RenderedView, Renderer};
 use octobayes::uncertainty::{BakedField, UncertaintyField, shown_log10, unknowns};
 use octobayes::{Error, Result};
+use octobayes_evaluation::{Reading, TrainingViews};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

@@ -92,7 +92,6 @@ fn with_suffix(path: &Path, extension: &str) -> PathBuf {
 
 /// A mask: a picture that selects the pixels of another one.
 #[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum MaskFile {
     /// `mask_path` of nerfstudio: pixels that are not black were trained on.
     Kept(PathBuf),

@@ -33,7 +33,6 @@ pub struct Frame {
 
 /// A frame's purpose as a camera file states it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Purpose {
     /// The model was trained on it.
     Training,

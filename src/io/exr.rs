@@ -1,6 +1,5 @@
 //! Multi-channel EXR images.
 
-#[cfg(feature = "synth")]
 mod write;
 
 use std::path::Path;
@@ -9,7 +8,6 @@ use exr::meta::MetaData;
 use exr::prelude::{ReadChannels, ReadLayers, ReadSpecificChannel, Vec2};
 
 use crate::{Error, Result};
-#[cfg(feature = "synth")]
 pub use write::write_exr;
 
 /// Reads width, height and depth of an image: its only channel, or the only one whose name ends in `Z` or `depth`. The

@@ -23,7 +23,6 @@ mod source;
 #[cfg(feature = "files")]
 mod whole;
 
-#[cfg(feature = "synth")]
 pub use atomic::beside;
 pub use atomic::{AtomicFile, remove_leftovers};
 pub use cell::cell;
@@ -31,7 +30,7 @@ pub use cell::cell;
 pub use element::{Dtype, Element, Index, Real, Stored};
 #[cfg(feature = "exr")]
 pub use exr::read_exr_depth;
-#[cfg(feature = "synth")]
+#[cfg(feature = "exr")]
 pub use exr::write_exr;
 pub use mix::{evenly, mix};
 pub use source::open;

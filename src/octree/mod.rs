@@ -31,7 +31,9 @@ pub use cells::Cell;
 pub(crate) use cursor::Cursor;
 pub(crate) use leaf_table::LeafTable;
 pub use leaves::Leaves;
-pub(crate) use leaves::{coarseness, masters, mean_volume};
+#[doc(hidden)]
+pub use leaves::coarseness;
+pub(crate) use leaves::{masters, mean_volume};
 pub(crate) use masks::MaskSet;
 pub(crate) use max_levels::DEPTH;
 pub use max_levels::MaxLevels;

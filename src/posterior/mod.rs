@@ -26,11 +26,14 @@ mod sums;
 pub use covariance::Covariance;
 pub(crate) use covariance::negligible_information;
 pub use dense::DensePosterior;
-pub(crate) use deviations::Reading;
 pub use deviations::Support;
-pub(crate) use deviations::{LocalSums, comparable, deviations};
+pub(crate) use deviations::{LocalSums, deviations};
+#[doc(hidden)]
+pub use deviations::{Reading, comparable};
+#[doc(hidden)]
+pub use octree::Refinement;
 pub use octree::{Criteria, Criterion, OctreePosterior};
-pub(crate) use octree::{Refinement, Touches, spare_bytes};
+pub(crate) use octree::{Touches, spare_bytes};
 pub use pooling::Pooling;
 pub use scale::{DataScale, Scale};
 pub(crate) use sums::{DiagonalSums, Entries};

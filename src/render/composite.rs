@@ -15,7 +15,6 @@ use super::trace::TracedRays;
 
 /// What a ray shows.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[non_exhaustive]
 pub struct Pixel {
     /// C, background included.
     pub color: DVec3,

@@ -18,8 +18,9 @@ mod write;
 
 use glam::{Quat, Vec3};
 
-#[cfg(all(test, any(feature = "evaluate", feature = "train")))]
-pub(crate) use render::reference;
+#[cfg(any(test, feature = "testing"))]
+#[doc(hidden)]
+pub use render::reference;
 #[cfg(feature = "train")]
 pub(crate) use render::{Footprint, Projector, Shape, boxed, middle};
 pub use render::{SeenSpace, SplatRenderer, seen_domain, tile_of};

@@ -162,7 +162,8 @@ impl UncertaintyField {
     ///
     /// # Panics
     /// If it gathers them, and has not all of S, or must and does not.
-    pub(crate) fn on_octree<S: Sums>(
+    #[doc(hidden)]
+    pub fn on_octree<S: Sums>(
         record: RunRecord,
         lattice: Lattice,
         posterior: OctreePosterior<S>,

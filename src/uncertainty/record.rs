@@ -81,7 +81,8 @@ impl RunRecord {
 
     /// How the sums of these rays are read as deviations.
     #[must_use]
-    pub(crate) fn reading(&self) -> Reading {
+    #[doc(hidden)]
+    pub fn reading(&self) -> Reading {
         let Self { covariance, scale, lambda, rays, pooling, tolerance, .. } = *self;
         Reading { covariance, scale, lambda, rays, pooling, tolerance }
     }

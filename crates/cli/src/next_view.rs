@@ -15,9 +15,9 @@ use octobayes::dataset::{Part, Views, write_transforms};
 use octobayes::geometry::Camera;
 use octobayes::io::{AtomicFile, write_exr};
 use octobayes::monitor::Message;
-use octobayes::next_view::{Around, Gain, GainMap, Made, NextView, Ranking, Report, Settings};
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
+use octobayes_next_view::{Around, Gain, GainMap, Made, NextView, Ranking, Report, Settings};
 use octobayes_session::{self, CameraSource, OpenedModel};
 use octobayes_show::picture::{Bar, scalar_panel, write_sheet};
 

@@ -80,8 +80,7 @@ mod tests {
 
     #[test]
     fn what_was_never_seen_has_the_colour_of_it() {
-        let mut opaque = Pixel::default();
-        opaque.opacity = 1.0;
+        let opaque = Pixel { opacity: 1.0, ..Pixel::default() };
         let pixels = vec![opaque; 4];
         let (resolution, log10_uncertainty) = ([4, 1], vec![vec![2.0; 4]]);
         let view = RenderedView { resolution, pixels, log10_uncertainty, ..RenderedView::default() };

@@ -7,8 +7,8 @@ use super::options::{choice, count, parse_resolution};
 use super::progress::Bars;
 use octobayes::Result;
 use octobayes::dataset::Hemisphere;
-use octobayes::synth::{DatasetSettings, Up, write_dataset};
 use octobayes_session::Resolution;
+use octobayes_synth::{DatasetSettings, Up, write_dataset};
 
 /// Ray-trace a triangle mesh into a dataset: posed images and exact depth
 ///

@@ -8,12 +8,12 @@ use glam::DVec3;
 use octobayes::dataset::Views;
 use octobayes::error::printable;
 use octobayes::estimate::{Framing, Model};
-use octobayes::evaluate::training_cameras;
 use octobayes::geometry::Camera;
 use octobayes::monitor::Message;
-use octobayes::next_view::{Blank, Ranking};
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
+use octobayes_evaluation::training_cameras;
+use octobayes_next_view::{Blank, Ranking};
 
 /// Candidates whose names are listed.
 const MAX_NAMES: usize = 3;

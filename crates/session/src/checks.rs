@@ -6,10 +6,10 @@ use octobayes::error::counted;
 use octobayes::estimate::{CoverageCheck, Model};
 use octobayes::geometry::{Camera, Mask, kept_pixels};
 use octobayes::monitor::{Message, Monitor};
-use octobayes::next_view::{Around, NextView, Settings};
 use octobayes::posterior::Pooling;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
+use octobayes_next_view::{Around, NextView, Settings};
 
 /// Fewer rays per vertex than this gain from pooling (`experiments/speed_vs_error.md`).
 const MIN_RAYS_PER_VERTEX: u64 = 4;

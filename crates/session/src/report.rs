@@ -8,9 +8,9 @@ use serde_json::{Value, json};
 use super::memory::peak;
 use octobayes::Result;
 use octobayes::estimate::{Checkpoint, ErrorBudget, facts};
-use octobayes::evaluate::ImageCheck;
 use octobayes::posterior::RayCoverage;
 use octobayes::uncertainty::UncertaintyField;
+use octobayes_evaluation::ImageCheck;
 
 /// Percentages of the visible surfaces at which log10 U is reported.
 pub const PERCENTS: [f64; 5] = [1.0, 10.0, 50.0, 90.0, 99.0];

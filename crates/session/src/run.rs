@@ -15,12 +15,12 @@ use octobayes::estimate::{
     Audit, Checkpoint, ErrorBudget, Estimation, Feature, Goal, GridSettings, Model, Outcome, RayError, RaySettings,
     Run, StepCheck, require,
 };
-use octobayes::evaluate::{Compared, ImageCheck, TrainingImages, check_images, memory_of_images};
 use octobayes::geometry::{Camera, Domain, Mask, kept_pixels};
 use octobayes::monitor::{Message, Monitor};
 use octobayes::posterior::Scale;
 use octobayes::rays::{Pixels, SamplesWriter};
 use octobayes::{Error, Result};
+use octobayes_evaluation::{Compared, ImageCheck, TrainingImages, check_images, memory_of_images};
 
 /// Why cameras may see little of splats.
 const FRAMES_OF_SPLATS: &str = "splats in a frame that their training normalised (nerfstudio's: pass the run's \

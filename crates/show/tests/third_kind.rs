@@ -5,17 +5,17 @@ use std::sync::Arc;
 
 use octobayes::Result;
 use octobayes::estimate::{Estimation, GridSettings, Model, RaySettings};
-use octobayes::evaluate::{Evaluator, Reading, TrueView, clean_up};
 use octobayes::geometry::{Aabb, Camera, Lattice, Ray};
 use octobayes::glam::{DVec3, Vec3};
 use octobayes::monitor::{Monitor, Silent};
-use octobayes::next_view::{NextView, Settings};
 use octobayes::posterior::Scale;
 use octobayes::render::{
     CameraView, ImagePoints, Outputs, Probe, RayAverage, RaySample, RaySamples, Renderer, VisibleSegment,
     WeightedSamples,
 };
 use octobayes::uncertainty::BakedField;
+use octobayes_evaluation::{Evaluator, Reading, TrueView, clean_up};
+use octobayes_next_view::{NextView, Settings};
 use octobayes_show::export::{Surfaces, surfaces, write_leaves, write_points};
 
 /// Radius of the discs, scene units.

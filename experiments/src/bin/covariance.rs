@@ -5,10 +5,10 @@
 //! `experiments/covariance.md`.
 
 use octobayes::Result;
-use octobayes::evaluate::Reading;
 use octobayes::posterior::Covariance;
 use octobayes::render::{GradientMethod, RayAverage};
 use octobayes::uncertainty::UncertaintyField;
+use octobayes_evaluation::Reading;
 
 use common::program::{Needs, Program};
 use common::ranking::{Ranking, Truth};

@@ -5,11 +5,11 @@
 
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings};
-use octobayes::evaluate::Reading;
 use octobayes::monitor::Silent;
 use octobayes::posterior::trace;
 use octobayes::render::RayAverage;
 use octobayes::uncertainty::{Difference, Support, UncertaintyField, compare};
+use octobayes_evaluation::Reading;
 use octobayes_show::picture::{Curve, write_plot};
 use serde::{Deserialize, Serialize};
 

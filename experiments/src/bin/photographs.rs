@@ -8,10 +8,11 @@ use glam::DVec3;
 use octobayes::Result;
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::geometry::{Camera, Domain};
-use octobayes::metrics::{psnr, spearman};
+use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
 use octobayes::render::{GradientMethod, Probe, RayAverage, render_view};
 use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, Trainer};
+use octobayes_evaluation::metrics::spearman;
 use serde::{Deserialize, Serialize};
 
 use common::program::{Needs, Program};

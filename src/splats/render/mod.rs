@@ -14,8 +14,8 @@ mod extent;
 mod images;
 mod jacobian;
 mod project;
-#[cfg(test)]
-pub(crate) mod reference;
+#[cfg(any(test, feature = "testing"))]
+pub mod reference;
 #[cfg(test)]
 mod tests;
 mod tiles;

@@ -9,18 +9,24 @@ type Matrix = [[f64; 3]; 3];
 /// A splat in f64, so that it can be moved by little.
 #[derive(Clone)]
 pub struct Gaussian {
+    /// Scene units.
     pub mean: [f64; 3],
+    /// Natural logarithms of scene units.
     pub log_scale: [f64; 3],
     /// w, x, y, z.
     pub quaternion: [f64; 4],
+    /// 0 to 1.
     pub opacity: f64,
+    /// `[coefficients]`.
     pub sh: Vec<[f64; 3]>,
 }
 
 /// What a pixel shows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shown {
+    /// Without background.
     pub color: [f64; 3],
+    /// Σ w.
     pub opacity: f64,
     /// Σ w z / Σ w.
     pub depth: f64,
@@ -28,6 +34,8 @@ pub struct Shown {
     pub hits: Vec<(usize, bool)>,
 }
 
+/// Splats as they are evaluated here.
+#[must_use]
 pub fn gaussians(splats: &Splats) -> Vec<Gaussian> {
     let of = |i: usize| {
         let rotation = splats.rotation(i);
@@ -85,6 +93,7 @@ fn color(sh: &[[f64; 3]], [x, y, z]: [f64; 3]) -> [f64; 3] {
 }
 
 /// What image point `p` shows of `splats` in front of `background`.
+#[must_use]
 pub fn shown(splats: &[Gaussian], mode: RenderMode, camera: &Camera, background: [f64; 3], p: [f64; 2]) -> Shown {
     let axes = [camera.axes.x_axis, -camera.axes.y_axis, -camera.axes.z_axis].map(|axis| axis.to_array());
     let eye = camera.position.to_array();

@@ -2,8 +2,6 @@
 
 mod models;
 mod sight;
-mod splat_depth;
-mod splat_judge;
 mod splats;
 
 use std::path::PathBuf;

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use octobayes::evaluate::{Report, Scored};
 use octobayes::io::{AtomicFile, cell};
-use octobayes::metrics::{STEPS, Sparsification};
 use octobayes::{Error, Result};
+use octobayes_evaluation::metrics::{STEPS, Sparsification};
+use octobayes_evaluation::{Report, Scored};
 use octobayes_show::picture::{Curve, Plot, stage_plots};
 
 /// Most curves of a plot beside the reference: those with the least area. The CSV has all.

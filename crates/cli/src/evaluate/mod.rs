@@ -15,13 +15,13 @@ use super::options::{
 use super::progress::Bars;
 use super::streams::tell;
 use octobayes::estimate::RaySettings;
-use octobayes::evaluate::{Evaluation, Judged, Reading};
 use octobayes::io::AtomicFile;
 use octobayes::open::{is_of_splats, open_model};
 use octobayes::posterior::Covariance;
 use octobayes::render::RayAverage;
 use octobayes::splats::Splats;
 use octobayes::{Error, Result};
+use octobayes_evaluation::{Evaluation, Judged, Reading};
 use octobayes_session::{OpenedModel, image_settings};
 
 /// Evaluate fields against true depth: AUSE beside measures that need no Hessian, depth error, PSNR, clean-up

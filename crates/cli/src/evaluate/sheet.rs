@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use octobayes::Result;
-use octobayes::evaluate::{CleanUp, TrueView};
 use octobayes::io::AtomicFile;
 use octobayes::render::RenderedView;
+use octobayes_evaluation::{CleanUp, TrueView};
 use octobayes_show::picture::{Panel, color_panel, stage_sheet};
 
 /// Most views on a sheet.

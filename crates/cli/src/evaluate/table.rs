@@ -3,8 +3,8 @@
 use super::Args;
 use octobayes::Result;
 use octobayes::dataset::DepthKind;
-use octobayes::evaluate::{CONFIRMING_VIEWS, CleanUp, DepthError, Interval, Part, Report, Score, Scored};
-use octobayes::metrics::{Calibration, Detection, PROBABILITIES};
+use octobayes_evaluation::metrics::{Calibration, Detection, PROBABILITIES};
+use octobayes_evaluation::{CONFIRMING_VIEWS, CleanUp, DepthError, Interval, Part, Report, Score, Scored};
 
 /// JSON without control characters. Those that JSON lets stand in a name are obeyed by some terminals.
 fn escaped(json: &serde_json::Value) -> String {

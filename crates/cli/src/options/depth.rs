@@ -8,7 +8,7 @@ use super::{heading, parse_pair};
 use crate::given::Given;
 use octobayes::Result;
 use octobayes::dataset::DepthKind;
-use octobayes::evaluate::DepthFiles;
+use octobayes_evaluation::DepthFiles;
 
 /// Names and values of depth maps. The folder is an option `depth` of the verb.
 #[derive(Args)]

@@ -3,10 +3,10 @@
 use crate::panels::{Ranges, depth_range, error_range, view_panels};
 use crate::progress::Bars;
 use octobayes::Result;
-use octobayes::evaluate::TrainingViews;
 use octobayes::geometry::Camera;
 use octobayes::render::{Probe, RayAverage, RenderedView, Renderer};
 use octobayes::uncertainty::{BakedField, UncertaintyField, shown_log10, unknowns};
+use octobayes_evaluation::TrainingViews;
 use octobayes_show::picture::Panel;
 
 /// What pictures are made of.

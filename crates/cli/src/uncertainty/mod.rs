@@ -19,12 +19,12 @@ use octobayes::Result;
 use octobayes::choices::Choice;
 use octobayes::dataset::Part;
 use octobayes::estimate::{Checkpoint, Feature, Goal, GridSettings, RaySettings};
-use octobayes::evaluate::TrainingImages;
 use octobayes::io::place::folder_of;
 use octobayes::posterior::Criterion;
 use octobayes::rays::{Pixels, SamplesReader};
 use octobayes::render::{GradientMethod, Occupancy};
 use octobayes::splats::RenderMode;
+use octobayes_evaluation::TrainingImages;
 use octobayes_session::{Needs, OpenedModel, Session, given_up};
 
 /// Compute the uncertainty of a trained field from its training cameras

@@ -4,7 +4,7 @@
 
 mod accumulate;
 mod answers;
-#[path = "../../../../tests/arrays/mod.rs"]
+#[path = "../arrays/mod.rs"]
 mod arrays;
 mod beside;
 mod bounds;
@@ -19,7 +19,7 @@ mod interrupt;
 mod limits;
 mod misleading;
 mod next_view;
-#[path = "../../../../tests/arrays/npz.rs"]
+#[path = "../arrays/npz.rs"]
 mod npz;
 #[path = "../program/mod.rs"]
 mod program;

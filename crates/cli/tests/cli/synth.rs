@@ -11,7 +11,7 @@ use octobayes::dataset::Hemisphere;
 use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PosedImage, Views};
 use octobayes::geometry::Ray;
 use octobayes::monitor::Silent;
-use octobayes::synth::{
+use octobayes_synth::{
     DEPTH_PNG_SCALE, DatasetSettings, GROUND_RADIUS, HALF_HEIGHT, Mesh, MeshScene, RADIUS, Up, write_dataset,
 };
 

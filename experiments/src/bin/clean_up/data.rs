@@ -5,9 +5,9 @@ use std::path::Path;
 use octobayes::dataset::{Frame, Views};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
-use octobayes::synth::{DatasetSettings, Up, write_dataset};
 use octobayes::train::{DatasetFiles, Shot};
 use octobayes::{Error, Result};
+use octobayes_synth::{DatasetSettings, Up, write_dataset};
 
 use crate::scene::Scene;
 use common::kitchen::kitchen;

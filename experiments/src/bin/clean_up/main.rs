@@ -14,8 +14,8 @@ mod table;
 
 use octobayes::Result;
 use octobayes::dataset::Hemisphere;
-use octobayes::synth::Up;
 use octobayes::train::Selection;
+use octobayes_synth::Up;
 
 use common::program::{Needs, Program};
 use common::work::Work;

@@ -5,12 +5,12 @@ use std::path::Path;
 use glam::DVec3;
 use octobayes::dataset::Hemisphere;
 use octobayes::estimate::{Estimation, GridSettings, Model, RaySettings};
-use octobayes::evaluate::{CleanUp, THRESHOLDS, TrueView, clean_up};
 use octobayes::monitor::Silent;
 use octobayes::render::{GradientMethod, RenderedView};
 use octobayes::train::Selection;
 use octobayes::uncertainty::BakedField;
 use octobayes::{Error, Result};
+use octobayes_evaluation::{CleanUp, THRESHOLDS, TrueView, clean_up};
 use octobayes_show::picture::{Panel, color_panel, write_sheet};
 use serde::{Deserialize, Serialize};
 

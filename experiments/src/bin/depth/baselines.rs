@@ -3,11 +3,11 @@
 
 use glam::{DVec3, Vec3};
 use octobayes::Result;
-use octobayes::evaluate::{EvaluatedView, TrainingViews, TrueView};
 use octobayes::geometry::Ray;
 use octobayes::monitor::Silent;
 use octobayes::render::{CompositingWeights, RenderedView, Renderer, TraceBuffers, Tracer};
 use octobayes::uncertainty::UncertaintyField;
+use octobayes_evaluation::{EvaluatedView, TrainingViews, TrueView};
 use rayon::prelude::*;
 
 /// Rays that are traced together.

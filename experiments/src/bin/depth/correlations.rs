@@ -5,12 +5,13 @@ use std::path::Path;
 use glam::DVec3;
 use octobayes::estimate::{Estimation, RaySettings};
 use octobayes::field::TrainedField;
-use octobayes::metrics::{Calibration, ErrorKind, PROBABILITIES, quantile, sparsification};
+use octobayes::metrics::quantile;
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{DepthProbe, DepthVariance, Probe, RayAverage, render_view_with_depth};
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
+use octobayes_evaluation::metrics::{Calibration, ErrorKind, PROBABILITIES, sparsification};
 use serde::{Deserialize, Serialize};
 
 use crate::full::{DrawnPosterior, Draws, ExactPosterior, FullPosterior};

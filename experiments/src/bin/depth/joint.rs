@@ -1,6 +1,6 @@
 //! One variance for displacements and residuals: σ² = a² Var + s² + (c · residuals)², with constants of other scenes.
 
-use octobayes::metrics::{Calibration, ErrorDensity, ErrorKind, sparsification};
+use octobayes_evaluation::metrics::{Calibration, ErrorDensity, ErrorKind, sparsification};
 
 use crate::judge::{Kept, Row};
 

@@ -3,17 +3,19 @@
 use std::path::Path;
 
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-use octobayes::evaluate::{
-    DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, compare_images,
-};
 use octobayes::field::TrainedField;
 use octobayes::geometry::Domain;
-use octobayes::metrics::{Calibration, Detection, ErrorDensity, ErrorKind, PROBABILITIES, sparsification, spearman};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{GradientMethod, RayAverage, Renderer, VolumeRenderer};
 use octobayes::uncertainty::{Residuals, UncertaintyField};
 use octobayes::{Error, Result};
+use octobayes_evaluation::metrics::{
+    Calibration, Detection, ErrorDensity, ErrorKind, PROBABILITIES, sparsification, spearman,
+};
+use octobayes_evaluation::{
+    DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, compare_images,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::baselines::{Baselines, density_aware};

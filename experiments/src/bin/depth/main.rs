@@ -22,10 +22,10 @@ mod warp;
 
 use std::path::Path;
 
-use octobayes::evaluate::Baseline;
 use octobayes::render::RayAverage;
-use octobayes::synth::Up;
 use octobayes::{Error, Result};
+use octobayes_evaluation::Baseline;
+use octobayes_synth::Up;
 
 use common::program::{Needs, Program};
 use common::settings::{describe, seeds};

@@ -4,16 +4,16 @@ use std::path::Path;
 
 use glam::DVec3;
 use octobayes::estimate::{Estimation, RaySettings};
-use octobayes::evaluate::{
-    CONFIRMING_VIEWS, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, compare_images,
-};
 use octobayes::field::TrainedField;
 use octobayes::geometry::Domain;
-use octobayes::metrics::{Calibration, PROBABILITIES};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{DataScale, Scale};
 use octobayes::render::VolumeRenderer;
 use octobayes::{Error, Result};
+use octobayes_evaluation::metrics::{Calibration, PROBABILITIES};
+use octobayes_evaluation::{
+    CONFIRMING_VIEWS, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, compare_images,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::judge::{STRIDE, grid};

@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use octobayes::estimate::{Estimation, Model, RaySettings};
-use octobayes::evaluate::{EvaluatedView, Evaluator, Measure, Reading, TrueView};
-use octobayes::metrics::{DensityCalibration, quantile};
+use octobayes::metrics::quantile;
 use octobayes::monitor::Silent;
 use octobayes::posterior::{DataScale, Scale};
 use octobayes::{Error, Result};
+use octobayes_evaluation::metrics::DensityCalibration;
+use octobayes_evaluation::{EvaluatedView, Evaluator, Measure, Reading, TrueView};
 use octobayes_show::picture::{Bar, Curve, Panel, color_panel, scalar_panel, write_plot, write_sheet};
 
 use crate::judge::{grid, rays};

@@ -2,13 +2,13 @@
 
 use glam::{DVec3, Vec3};
 use octobayes::estimate::RaySettings;
-use octobayes::evaluate::TrueView;
 use octobayes::field::{TrainedField, VoxelGrid};
 use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
 use octobayes::render::{Tracer, render_view};
 use octobayes::train::Selection;
 use octobayes::{Error, Result};
+use octobayes_evaluation::TrueView;
 
 use crate::compared;
 use crate::judge::{self, Row, grid, judge, uncertainties};

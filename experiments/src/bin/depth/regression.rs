@@ -4,9 +4,9 @@ use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use glam::DVec3;
 use octobayes::Result;
-use octobayes::evaluate::{EvaluatedView, Evaluator, TrueView};
 use octobayes::monitor::Silent;
 use octobayes::uncertainty::Residuals;
+use octobayes_evaluation::{EvaluatedView, Evaluator, TrueView};
 
 use crate::baselines::Baselines;
 use crate::judge::pixel_residuals;

@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3, Vec3};
 use octobayes::dataset::{DepthKind, DepthReadings, Frame, Views};
-use octobayes::evaluate::{DepthFiles, DepthMeaning, TrueView};
 use octobayes::field::HashGrid;
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
-use octobayes::synth::{DEPTH_PNG_SCALE, DatasetSettings, Mesh, MeshScene, Up, write_dataset};
 use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, quality};
 use octobayes::{Error, Result};
+use octobayes_evaluation::{DepthFiles, DepthMeaning, TrueView};
+use octobayes_synth::{DEPTH_PNG_SCALE, DatasetSettings, Mesh, MeshScene, Up, write_dataset};
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 use serde::Serialize;

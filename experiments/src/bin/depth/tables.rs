@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use octobayes::metrics::{ErrorDensity, PROBABILITIES};
 use octobayes::uncertainty::Residuals;
+use octobayes_evaluation::metrics::{ErrorDensity, PROBABILITIES};
 
 use crate::joint::{Fit, Joint};
 use crate::judge::{Row, Scored};
@@ -147,7 +147,7 @@ pub fn never_seen(rows: &[Vec<Row>]) -> String {
     let mut table = Table::new(&["measure", "AUROC", "worst scene", "AUPR", "never seen, %"]);
     let measures = rows[0][0].scored.len();
     let of = |m: usize| -> Option<[Vec<f64>; 3]> {
-        let found = |value: &dyn Fn(octobayes::metrics::Detection) -> f64| -> Option<Vec<f64>> {
+        let found = |value: &dyn Fn(octobayes_evaluation::metrics::Detection) -> f64| -> Option<Vec<f64>> {
             let scene = |rows: &Vec<Row>| {
                 let values: Option<Vec<f64>> = rows.iter().map(|row| row.scored[m].never_seen.map(value)).collect();
                 values.map(|values| mean(&values))

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use glam::DVec3;
-use octobayes::synth::Mesh;
+use octobayes_synth::Mesh;
 
 /// Points around the axis.
 const AROUND: usize = 64;

@@ -14,10 +14,11 @@ use octobayes::Result;
 use octobayes::estimate::RaySettings;
 use octobayes::field::{HashGrid, TrainedField};
 use octobayes::geometry::{Camera, Domain};
-use octobayes::metrics::{psnr, ssim};
+use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
 use octobayes::render::{Renderer, VolumeRenderer};
 use octobayes::train::{Shot, TrainSettings, quality};
+use octobayes_evaluation::metrics::ssim;
 use serde::{Deserialize, Serialize};
 
 use common::program::{Needs, Program};

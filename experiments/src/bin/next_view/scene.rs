@@ -4,12 +4,12 @@ use std::path::Path;
 
 use glam::DVec3;
 use octobayes::dataset::{DepthKind, PosedImage, Views};
-use octobayes::evaluate::{DepthFiles, DepthMeaning, TrueView};
 use octobayes::geometry::{Aabb, Camera};
 use octobayes::monitor::Silent;
-use octobayes::synth::{LitScene, Mesh, MeshScene, Up, viewpoints};
 use octobayes::train::{DatasetFiles, Shot};
 use octobayes::{Error, Result};
+use octobayes_evaluation::{DepthFiles, DepthMeaning, TrueView};
+use octobayes_synth::{LitScene, Mesh, MeshScene, Up, viewpoints};
 use rayon::prelude::*;
 
 use crate::cup::cup;

@@ -2,11 +2,11 @@
 
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings};
-use octobayes::evaluate::Reading;
 use octobayes::metrics::median;
 use octobayes::posterior::{Criterion, Pooling};
 use octobayes::rays::Pixels;
 use octobayes::render::{GradientMethod, RayAverage};
+use octobayes_evaluation::Reading;
 use octobayes_show::picture::{Curve, write_plot};
 
 use super::measure::{POINTS, Row, Rows, Run, SEEDS, alternating, grid, ratio, reference, run};

@@ -5,13 +5,13 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use octobayes::dataset::{Frame, Views};
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-use octobayes::evaluate::{DepthMeaning, EvaluatedView, Evaluator, Reading, Score, TrainingViews, TrueView};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{Outputs, Probe, RayAverage, RenderedView, Renderer};
 use octobayes::splats::{Hits, SplatRenderer, Splats};
 use octobayes::{Error, Result};
+use octobayes_evaluation::{DepthMeaning, EvaluatedView, Evaluator, Reading, Score, TrainingViews, TrueView};
 use serde::{Deserialize, Serialize};
 
 use crate::blocks::{Blocks, Sums};

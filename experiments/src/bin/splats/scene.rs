@@ -2,8 +2,8 @@
 
 use glam::DVec3;
 use octobayes::dataset::Hemisphere;
-use octobayes::synth::{Mesh, MeshScene, Up};
 use octobayes::{Error, Result};
+use octobayes_synth::{Mesh, MeshScene, Up};
 
 use common::program::Program;
 

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use octobayes::geometry::Camera;
-use octobayes::synth::{GROUND_RADIUS, HALF_HEIGHT, MeshScene};
+use octobayes_synth::{GROUND_RADIUS, HALF_HEIGHT, MeshScene};
 use rayon::prelude::*;
 
 use common::visibility::is_seen;

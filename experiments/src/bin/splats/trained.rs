@@ -3,11 +3,11 @@
 
 use glam::DVec3;
 use octobayes::Result;
-use octobayes::metrics::{Detection, spearman};
 use octobayes::monitor::Silent;
 use octobayes::posterior::DataScale;
-use octobayes::synth::{DatasetSettings, write_dataset};
 use octobayes::train::{DatasetFiles, SplatSettings, SplatTrainer, Training};
+use octobayes_evaluation::metrics::{Detection, spearman};
+use octobayes_synth::{DatasetSettings, write_dataset};
 use serde::{Deserialize, Serialize};
 
 use crate::scene::{self, MESHES, SIDES};

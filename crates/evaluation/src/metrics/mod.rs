@@ -1,0 +1,19 @@
+//! Metrics of image quality, and of how well an uncertainty ranks an error.
+
+mod calibration;
+mod conformal;
+mod density;
+mod detection;
+mod ensemble;
+mod rank;
+mod sparsification;
+mod ssim;
+
+pub use calibration::{Calibration, DensityCalibration, PROBABILITIES};
+pub use conformal::conformal_factor;
+pub use density::ErrorDensity;
+pub use detection::Detection;
+pub use ensemble::ensemble_variance;
+pub use rank::spearman;
+pub use sparsification::{ErrorKind, STEPS, Sparsification, sparsification};
+pub use ssim::ssim;
