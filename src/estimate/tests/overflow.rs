@@ -19,9 +19,20 @@ fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
 
 #[test]
 fn a_field_has_the_vertices_and_values_of_a_run_without_a_budget() {
+    is_that_without_a_budget([(GridSettings::default().level(7).keep_sums(false), 1 << 20)]);
+}
+
+#[test]
+#[ignore = "slow: nine runs"]
+fn any_field_has_the_vertices_and_values_of_a_run_without_a_budget() {
     let fine = GridSettings::default().level(8);
     let limited = fine.criteria([Criterion::RayCount].into_iter().collect());
-    for (grid, room) in [(fine, 4 << 20), (fine.keep_sums(false), 2 << 20), (limited, 1 << 20)] {
+    is_that_without_a_budget([(fine, 4 << 20), (fine.keep_sums(false), 2 << 20), (limited, 1 << 20)]);
+}
+
+/// Of grids, and the room for their sums.
+fn is_that_without_a_budget(cases: impl IntoIterator<Item = (GridSettings, usize)>) {
+    for (grid, room) in cases {
         let free = run(grid, None, |run| run);
         let bound = [1, 3].map(|threads| on_threads(threads, || run(grid, Some(room), |run| run)));
         assert_eq!(free.disk_bytes, 0);
@@ -40,6 +51,7 @@ fn a_field_has_the_vertices_and_values_of_a_run_without_a_budget() {
 
 /// Goals that have several sets of sums: groups of rays, and halves of them.
 #[test]
+#[ignore = "slow: fifteen runs"]
 fn error_bars_and_mean_errors_are_those_of_runs_without_a_budget() {
     let grid = GridSettings::default().level(7).keep_sums(false);
     for (grid, room) in [(grid, 1 << 20), (grid, usize::MAX), (grid.pooling(Pooling::Auto).level(6), 1 << 20)] {
@@ -93,6 +105,7 @@ fn groups_of_rays_resume_with_their_runs() {
 
 /// More runs than are read side by side: they are merged under way, also in a run that is resumed behind that.
 #[test]
+#[ignore = "slow: four runs of 150,000 rays"]
 fn many_runs_are_merged_under_way() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("run.chk");
