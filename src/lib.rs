@@ -77,11 +77,10 @@
 //! # Versions
 //!
 //! Rust 1.89 or newer; that rises only with a minor version. Before 1.0 a minor version (0.1 to 0.2) may change the
-//! interface and a patch version may not, by the rules that Cargo applies. Settings are built with setters and enums
-//! may gain variants, so that most additions break nothing. [`glam`] is part of the interface and re-exported: its
-//! major versions are ours. Field files state the version of their format, and a reader rejects unknown
-//! versions. What these pages do not show is for this crate's own program and experiments, and may change at any
-//! time.
+//! interface and a patch version may not, by the rules that Cargo applies. Settings are built with setters, so that
+//! most additions break nothing. [`glam`] is part of the interface and re-exported: its major versions are ours. Field
+//! files state the version of their format, and a reader rejects unknown versions. What these pages do not show is for
+//! our own crates, and may change at any time.
 //!
 //! # What holds
 //!

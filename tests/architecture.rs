@@ -231,7 +231,7 @@ fn is_source(path: &str) -> bool {
 
 #[test]
 fn files_that_pages_name_exist() {
-    for page in ["docs/architecture.md", "docs/src/how-it-works.md", "docs/src/formats.md"] {
+    for page in ["docs/architecture.md", "docs/src/how-it-works.md", "docs/src/formats.md", "docs/src/library.md"] {
         let text = read(&root().join(page));
         let mut named = 0;
         for (number, line) in text.lines().enumerate() {

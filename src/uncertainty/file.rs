@@ -44,6 +44,7 @@ use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Item, Reader, Section};
 use crate::octree::Octree;
 use crate::posterior::VertexSums;
+use crate::rays::RaySet;
 use crate::{Error, Result};
 
 /// The version that this crate reads and writes.
@@ -107,8 +108,13 @@ impl Source {
 
     /// Opens a file whose head was read before.
     fn open_again(path: &Path, head: &Head) -> Result<Self> {
-        let file = Self::open(path)?;
-        if (&file.record, file.lattice, file.is_dense) == (&head.record, head.lattice, head.is_dense) {
+        let mut file = Self::open(path)?;
+        // All layers are still to be read.
+        let heads = file.heads.clone();
+        let ray_sets: Vec<RaySet> = file.layer()?.unwrap_or_default();
+        file.heads = heads;
+        let is_same = (&file.record, file.lattice, file.is_dense) == (&head.record, head.lattice, head.is_dense);
+        if is_same && ray_sets == head.ray_sets {
             return Ok(file);
         }
         Err(file.malformed("header", "that of the file as it was opened before", "another, which replaced it"))

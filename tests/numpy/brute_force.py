@@ -1,4 +1,6 @@
-"""The posterior of samples.npz by brute force in NumPy, without the crate: expected.npy for crates/cli/tests/cli/accumulate.rs.
+"""The posterior of samples.npz by brute force in NumPy, without the crate.
+
+Its result is expected.npy for crates/cli/tests/cli/accumulate.rs.
 
 For every vertex of the 8^3 lattice over [-1, 1]^3: S = sum over rays of J^T J, J = sum over the ray's samples of
 phi_v(x) G. Rows of the result: lattice x, y, z, then S as xx, xy, xz, yy, yz, zz; vertices that no sample touches are

@@ -37,6 +37,9 @@
 //! # Ok::<(), octobayes::Error>(())
 //! ```
 
+// Both macros panic if the stream cannot be written.
+#![cfg_attr(not(test), warn(clippy::print_stderr, clippy::print_stdout))]
+
 mod coverage;
 mod evidence;
 mod gain;

@@ -332,19 +332,28 @@ fn a_file_that_is_replaced_while_it_is_joined_is_refused() {
     let random = &mut ChaCha8Rng::seed_from_u64(10);
     let folder = tempfile::tempdir().unwrap();
     let [own, other, more] = ["own.oct", "other.oct", "more.oct"].map(|name| folder.path().join(name));
-    let [of_own, of_other, of_more] = [1, 2, 3].map(|seed| part(seed, Shard::whole(512 * 9), false, random).field);
-    of_other.write(&other).unwrap();
-    of_more.write(&more).unwrap();
-    for after in 1..=3 {
-        of_own.write(&own).unwrap();
-        let replaced = || Replaced { file: own.clone(), by: &other, after, opened: Cell::new(0) };
-        let kept = || Replaced { file: more.clone(), by: &more, after: u32::MAX, opened: Cell::new(0) };
-        let joined = merge(&[replaced(), kept()]);
-        if after == 3 {
-            assert_eq!(joined.unwrap(), merge(&[own.clone(), more.clone()]).unwrap());
-        } else {
-            let error = refusal(joined);
-            assert!(error.contains("own.oct") && error.contains("replaced"), "{error}");
+    let fields = [1, 2, 3, 4, 5].map(|seed| {
+        let mut field = part(seed, Shard::whole(512 * 9), false, random).field;
+        field.record.dropped = 0;
+        field
+    });
+    fields[4].write(&more).unwrap();
+    // Two merged fields may have the same record; they differ by the rays that they count.
+    let merged = [[0, 1], [2, 3]].map(|pair| merge(&pair.map(|i| &fields[i])).unwrap());
+    assert_eq!(merged[0].record(), merged[1].record());
+    for [of_own, of_other] in [[&fields[0], &fields[1]], [&merged[0], &merged[1]]] {
+        of_other.write(&other).unwrap();
+        for after in 1..=3 {
+            of_own.write(&own).unwrap();
+            let replaced = Replaced { file: own.clone(), by: &other, after, opened: Cell::new(0) };
+            let kept = Replaced { file: more.clone(), by: &more, after: u32::MAX, opened: Cell::new(0) };
+            let joined = merge(&[replaced, kept]);
+            if after == 3 {
+                assert_eq!(joined.unwrap(), merge(&[own.clone(), more.clone()]).unwrap());
+            } else {
+                let error = refusal(joined);
+                assert!(error.contains("own.oct") && error.contains("replaced"), "{error}");
+            }
         }
     }
 }

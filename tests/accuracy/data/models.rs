@@ -1,6 +1,5 @@
-//! Tests on pre-trained models, which the project does not ship. They read `$OCTOBAYES_DATA`. `.ci/run` sets it
-//! and runs them with `--include-ignored`; there, missing data is a failure. The README says where to get the
-//! data.
+//! Tests on pre-trained models, which the project does not ship. They read `$OCTOBAYES_DATA`, which `.ci/run` sets;
+//! there, missing data is a failure. The book's page `data.md` says where to get the data.
 
 use glam::Vec3;
 use octobayes::dataset::{PosedImage, Views};

@@ -78,7 +78,13 @@ pub struct Args {
     /// How log10 U is averaged along a ray; several, separated by commas, are compared side by side [default:
     /// `u-spread-per-root-ray`, which ranked depth errors best (experiments/depth.md), or `u-spread` for a field that
     /// does not know its ray counts]
-    #[arg(long, value_parser = choice::<RayAverage>(), value_delimiter = ',', help_heading = heading::STATISTICS, hide_short_help = true)]
+    #[arg(
+        long,
+        value_parser = choice::<RayAverage>(),
+        value_delimiter = ',',
+        help_heading = heading::STATISTICS,
+        hide_short_help = true,
+    )]
     ray_average: Vec<RayAverage>,
 
     /// Two or more models trained like MODEL with other seeds; MODEL may be among them. Evaluates the variance of

@@ -68,7 +68,13 @@ pub struct GridOptions {
     pub level: Option<u8>,
 
     /// Structure that carries the field
-    #[arg(long, value_parser = choice::<GridKind>(), default_value = GridKind::default().name(), help_heading = heading::GRID, hide_short_help = true)]
+    #[arg(
+        long,
+        value_parser = choice::<GridKind>(),
+        default_value = GridKind::default().name(),
+        help_heading = heading::GRID,
+        hide_short_help = true,
+    )]
     pub grid: GridKind,
 
     /// What U^2 is of a vertex's 3x3 Hessian H: the paper's sum of 1/H_kk (diagonal), the official code's 1/tr H
@@ -102,7 +108,13 @@ pub struct GridOptions {
 
     /// Whether vertices near few rays borrow from their neighbours. Where rays are few, it more than halves errors on
     /// surfaces, and raises them in the space beside
-    #[arg(long, value_parser = choice::<Pooling>(), default_value = Pooling::default().name(), help_heading = heading::STATISTICS, hide_short_help = true)]
+    #[arg(
+        long,
+        value_parser = choice::<Pooling>(),
+        default_value = Pooling::default().name(),
+        help_heading = heading::STATISTICS,
+        hide_short_help = true,
+    )]
     pub pooling: Pooling,
 
     /// Keep the 3x3 matrices too: 28 bytes more a vertex in the file, and 76 in memory. Other covariances, and `merge`

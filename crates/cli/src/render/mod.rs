@@ -95,7 +95,13 @@ pub struct Args {
     range: Option<[f64; 2]>,
 
     /// How log10 U is averaged along a ray
-    #[arg(long, value_parser = choice::<RayAverage>(), default_value = RayAverage::default().name(), help_heading = heading::OUTPUT, hide_short_help = true)]
+    #[arg(
+        long,
+        value_parser = choice::<RayAverage>(),
+        default_value = RayAverage::default().name(),
+        help_heading = heading::OUTPUT,
+        hide_short_help = true,
+    )]
     ray_average: RayAverage,
 
     /// Show the standard deviation of depth, too, in scene units; the field must be one of `--scale data`. It joins

@@ -69,7 +69,13 @@ pub struct Args {
     force: bool,
 
     /// How splats smaller than a pixel are drawn: as they were trained [default: as their file says, else classic]
-    #[arg(long, value_name = "MODE", value_parser = choice::<RenderMode>(), help_heading = heading::INPUT, hide_short_help = true)]
+    #[arg(
+        long,
+        value_name = "MODE",
+        value_parser = choice::<RenderMode>(),
+        help_heading = heading::INPUT,
+        hide_short_help = true,
+    )]
     splat_mode: Option<RenderMode>,
 
     #[command(flatten)]
@@ -133,7 +139,12 @@ pub struct Args {
 
     /// How the model is differentiated: by differences of its outputs, or faster by its own derivatives, if it has
     /// them (analytic)
-    #[arg(long, value_parser = choice::<GradientMethod>(), default_value = GradientMethod::default().name(), help_heading = heading::RAYS)]
+    #[arg(
+        long,
+        value_parser = choice::<GradientMethod>(),
+        default_value = GradientMethod::default().name(),
+        help_heading = heading::RAYS,
+    )]
     gradient: GradientMethod,
 
     /// Seed of pixels and sample positions
