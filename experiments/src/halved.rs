@@ -43,7 +43,7 @@ pub fn write(lego: &Path, folder: &Path) -> Result<()> {
     write_transforms(&folder.join("transforms_test.json"), &cameras)
 }
 
-/// The depth maps that [`write`] wrote: eight units of distance over their range, near is bright.
+/// The depth maps that [`write()`] wrote: eight units of distance over their range, near is bright.
 #[must_use]
 pub fn depth(folder: &Path) -> DepthFiles {
     DepthFiles {

@@ -9,7 +9,7 @@ use crate::rays::MAX_RAYS;
 use crate::uncertainty::UncertaintyField;
 
 /// Depth errors of at most `factor` deviations are to be as frequent as `probability`, by split conformal prediction
-/// ([`conformal_factor`](crate::metrics::conformal_factor)).
+/// (`conformal_factor` of `octobayes-evaluation`).
 ///
 /// It holds for pixels that are exchangeable with those that it was calibrated on: of views of this scene that were
 /// chosen as those were, by this model. It promises nothing of other scenes, of views from elsewhere, or of any single

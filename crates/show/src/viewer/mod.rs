@@ -1,8 +1,8 @@
 //! A viewer in one file: a model and its uncertainty, and the scripts that show it in a browser.
 //!
-//! [`page`] puts either kind of model into a page with the scripts of `web/`. A volume is a regular lattice of
-//! [`grid::Grid`] in bricks; only bricks with matter are stored ([`bricks`]), packed into 3D textures ([`pack`]), and
-//! [`volume`] makes cells as small as the file allows. [`splats`] are stored one by one. The book's chapter on `view`
+//! `page` puts either kind of model into a page with the scripts of `web/`. A volume is a regular lattice of
+//! `grid::Grid` in bricks; only bricks with matter are stored (`bricks`), packed into 3D textures (`pack`), and
+//! `volume` makes cells as small as the file allows. `splats` are stored one by one. The book's chapter on `view`
 //! lists the approximations.
 
 mod bricks;
