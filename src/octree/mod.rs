@@ -158,7 +158,8 @@ impl Octree {
         }
         let split = wanted.balanced();
         let cells = CellTree::from_split(&split);
-        if cells.raw() != (root_split, masks.to_vec()) {
+        let (own_root_split, own_masks) = cells.raw();
+        if own_root_split != root_split || own_masks != masks {
             return Err("the child masks describe an octree that is not 2:1 balanced".into());
         }
         Ok(Self { cells, vertices: VertexTable::new(free_vertices(split)) })

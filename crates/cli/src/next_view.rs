@@ -106,7 +106,12 @@ pub struct Args {
     take: u32,
 
     /// What a view is worth
-    #[arg(long, value_parser = choice::<Gain>(), default_value = "logdet", help_heading = heading::STATISTICS)]
+    #[arg(
+        long,
+        value_parser = choice::<Gain>(),
+        default_value = Gain::default().name(),
+        help_heading = heading::STATISTICS,
+    )]
     gain: Gain,
 
     /// Pixels of a candidate whose rays are traced; they are scaled to all of its pixels

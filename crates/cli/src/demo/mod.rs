@@ -195,7 +195,7 @@ impl Args {
         say!("grid        vertices   field for queries     sums while running   time to sum")?;
         for (kind, Outcome { field, sums_bytes, summing, .. }) in kinds.iter().zip(&outcomes) {
             let [field_bytes, sums] = [field.query_memory(), *sums_bytes].map(report::bytes);
-            let (name, vertices) = (format!("{kind:?}").to_lowercase(), field.deviations().len());
+            let (name, vertices) = (kind.name(), field.deviations().len());
             say!("{name:<8} {vertices:>11}   {field_bytes:>17}   {sums:>20}   {:>9.2} s", summing.as_secs_f64())?;
         }
         let mut fields = outcomes.into_iter().map(|outcome| outcome.field);

@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 
 use octobayes::dataset::Frame;
-use octobayes::geometry::{Aabb, Camera, Distortion, Domain, Norm, upright};
+use octobayes::geometry::{Aabb, Camera, Distortion, Domain, upright};
 use octobayes::io::AtomicFile;
 use octobayes::posterior::Scale;
 use octobayes::uncertainty::UncertaintyField;
@@ -96,7 +96,7 @@ impl Page<'_> {
         let field = self.field;
         let contraction = match field.lattice().domain() {
             Domain::Contracted { center, radius, norm } => {
-                json!({ "center": center, "radius": radius, "norm": if *norm == Norm::L2 { "l2" } else { "linf" } })
+                json!({ "center": center, "radius": radius, "norm": norm.name() })
             }
             _ => Value::Null,
         };

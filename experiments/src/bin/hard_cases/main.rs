@@ -9,8 +9,7 @@ mod steps;
 mod sums;
 mod target;
 mod waves;
-// Each experiment uses its part.
-// The tests use all of these.
+// The tests use all of these, this program a part.
 #[allow(dead_code)]
 #[path = "../../../../tests/accuracy/compare.rs"]
 mod compare;
