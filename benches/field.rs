@@ -1,13 +1,14 @@
 //! Points per second of a trained grid field, alone and on all cores, on points near surfaces: what rendering asks for.
 //!
-//! `OCTOBAYES_DATA=… cargo bench --bench field`; without the data there is nothing to measure.
+//! `OCTOBAYES_DATA=… cargo measure field`; without the data there is nothing to measure.
 
 use std::hint::black_box;
 use std::path::PathBuf;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use glam::Vec3;
-use octobayes::field::{Coordinates, Differentiable, Ppng, Radiance, RadianceField, RadianceJet};
+use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet};
+use octobayes_models::{Coordinates, Ppng};
 use rayon::prelude::*;
 
 /// Points of a batch, as the tracer's groups of rays make them.

@@ -3,9 +3,6 @@
 //!
 //! Pixels per second and core: `RAYON_NUM_THREADS=1`.
 
-#[path = "../experiments/src/ball.rs"]
-mod ball;
-
 use std::hint::black_box;
 
 use criterion::{Criterion, SamplingMode, Throughput, criterion_group, criterion_main};
@@ -14,12 +11,12 @@ use octobayes::geometry::{Aabb, Domain};
 use octobayes::glam::Vec3;
 use octobayes::monitor::Silent;
 use octobayes::render::{Outputs, Renderer};
-use octobayes::splats::SplatRenderer;
+use octobayes_splats::SplatRenderer;
 
 const SPLATS: usize = 100_000;
 
 fn splats(c: &mut Criterion) {
-    let (ball, cameras) = (ball::ball(SPLATS), ball::cameras(100));
+    let (ball, cameras) = (common::ball::ball(SPLATS), common::ball::cameras(100));
     let renderer = SplatRenderer::new(&ball, Vec3::ONE);
     let mut group = c.benchmark_group("splats");
     group.sample_size(10).sampling_mode(SamplingMode::Flat);

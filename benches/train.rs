@@ -4,13 +4,14 @@ use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use glam::Vec3;
-use octobayes::dataset::PosedImage;
 use octobayes::estimate::RaySettings;
-use octobayes::field::{ClosedForm, Differentiable, HashGridConfig, Radiance, RadianceField, RadianceJet};
+use octobayes::field::{ClosedForm, Differentiable, Radiance, RadianceField, RadianceJet};
 use octobayes::geometry::Domain;
 use octobayes::monitor::Silent;
 use octobayes::render::render_view;
-use octobayes::train::{Shot, TrainSettings, Trainer};
+use octobayes_data::PosedImage;
+use octobayes_models::HashGridConfig;
+use octobayes_train::{Shot, TrainSettings, Trainer};
 
 fn shots(scene: &ClosedForm) -> Vec<Shot> {
     let tracer = RaySettings::default().occupancy(32).cutoff(1e-4);

@@ -154,7 +154,6 @@ const LONGEST_OWN: usize = 2000;
 const LONGEST_PATH: usize = 4096;
 
 /// A number of things in words, such as `1 frame` and `2 frames`.
-#[cfg(feature = "files")]
 #[doc(hidden)]
 #[must_use]
 pub fn counted(count: usize, noun: &str) -> String {

@@ -18,7 +18,6 @@
 //!   and directions.
 //! - [`render`] samples a ray through the field, composites its pixel, and differentiates the pixel with respect
 //!   to the positions of the samples: by central differences, or by the field's own derivatives.
-//! - [`splats`] are the other kind of model: Gaussian splats, their files, their images and how these change.
 //! - [`rays`] draws the training rays and hands on their samples with these Jacobians.
 //! - [`posterior`] spreads the Jacobians over the vertices around each sample, sums them along the ray, squares, and
 //!   sums over rays. It refines the octree where the sums are not negligible. Where rays cannot support the finest
@@ -27,12 +26,12 @@
 //!   be stored, queried, compared and merged.
 //! - [`estimate`] runs all of this: an [`Estimation`](estimate::Estimation) holds the settings of a run, and a
 //!   [`Plan`](estimate::Plan) bounds its time, memory and disk space by its first rays.
-//! - [`dataset`] reads camera files, and [`open`] opens a model by its name: a file or a built-in scene.
 //!
-//! The program and the Python package are made of more: `train` fits models, `octobayes-evaluation` judges fields on
-//! held-out views, `octobayes-next-view` ranks cameras by how much their images, not yet taken, would constrain the
-//! displacements, `octobayes-synth` makes data, `octobayes-show` draws and writes for other tools, and
-//! `octobayes-session` runs from files to files.
+//! The program and the Python package are made of more: `octobayes-data` reads cameras, images and arrays of other
+//! programs, `octobayes-models` and `octobayes-splats` are trained models, and `octobayes-train` fits some.
+//! `octobayes-evaluation` judges fields on held-out views, `octobayes-next-view` ranks cameras by how much their images,
+//! not yet taken, would constrain the displacements, `octobayes-synth` makes data, `octobayes-show` draws and writes for
+//! other tools, and `octobayes-session` runs from files to files.
 //!
 //! # Example
 //!
@@ -62,18 +61,6 @@
 //! (what to compute), and [`uncertainty::UncertaintyField`] (the result). Jacobians from elsewhere, such as
 //! autograd on a GPU, go through [`estimate::FieldBuilder`] as [`render::RaySamples`].
 //!
-//! # Features
-//!
-//! Without features the library computes, stores, merges and queries fields of models that implement
-//! [`field::RadianceField`]. Each feature adds whole modules, and the crates that only they need:
-//!
-//! | feature | adds |
-//! |---|---|
-//! | `files` | files of others: [`dataset`], [`open`], [`splats`], models of [`field`], ray samples, official grids |
-//! | `train` | [`field::HashGrid`], and its trainer; with `files` |
-//! | `exr` | depth maps in OpenEXR; with `files` |
-//! | `testing` | slow references for the tests of our other crates; with `files` |
-//!
 //! # Versions
 //!
 //! Rust 1.89 or newer; that rises only with a minor version. Before 1.0 a minor version (0.1 to 0.2) may change the
@@ -84,8 +71,7 @@
 //!
 //! # What holds
 //!
-//! - [`octree`] does not depend on rays or colour. How a model is stored is private to [`field`]. Nothing
-//!   here prints.
+//! - [`octree`] does not depend on rays or colour. Nothing here prints.
 //! - The dense reference ([`posterior::DensePosterior`]) shares no accumulation code with the octree: each checks
 //!   the other.
 //! - Results do not depend on the number of threads, bit for bit. Rays are drawn by index and summed in ray order.
@@ -105,8 +91,6 @@ mod setters;
 #[doc(hidden)]
 pub mod choices;
 
-#[cfg(feature = "files")]
-pub mod dataset;
 pub mod error;
 pub mod estimate;
 pub mod field;
@@ -117,15 +101,9 @@ pub mod io;
 pub mod metrics;
 pub mod monitor;
 pub mod octree;
-#[cfg(feature = "files")]
-pub mod open;
 pub mod posterior;
 pub mod rays;
 pub mod render;
-pub mod splats;
-#[cfg(feature = "train")]
-#[doc(hidden)]
-pub mod train;
 pub mod uncertainty;
 
 pub use error::{Error, Result};

@@ -2,7 +2,7 @@
 
 use octobayes::geometry::Camera;
 use octobayes::glam::{DVec3, Quat, Vec3};
-use octobayes::splats::{RenderMode, Splats};
+use octobayes_splats::{RenderMode, Splats};
 
 /// Flat splats on a wavy ball of radius 1, each as wide as its neighbours are apart, with colours of degree 3.
 pub fn ball(count: usize) -> Splats {

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use image::{ImageBuffer, Luma, Rgba, RgbaImage};
-use octobayes::dataset::{DepthKind, Views, write_transforms};
 use octobayes::{Error, Result};
+use octobayes_data::{DepthKind, Views, write_transforms};
 use octobayes_evaluation::DepthFiles;
 
 /// Pixels of a side.

@@ -5,9 +5,9 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use image::imageops::FilterType;
 use image::{ImageBuffer, ImageReader, Luma};
-use octobayes::dataset::DepthKind;
 use octobayes::geometry::{Camera, Distortion};
 use octobayes::{Error, Result};
+use octobayes_data::DepthKind;
 use octobayes_evaluation::DepthFiles;
 
 use super::program::Program;

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use glam::DVec3;
 use octobayes::Result;
-use octobayes::dataset::{DepthKind, Views};
 use octobayes::geometry::Aabb;
 use octobayes::monitor::Silent;
 use octobayes::render::VolumeRenderer;
+use octobayes_data::{DepthKind, Views};
 use octobayes_evaluation::{
     DepthError, DepthFiles, DepthMeaning, EvaluatedView, Evaluator, Measure, Reading, Score, TrueView,
 };

@@ -4,15 +4,16 @@ use std::path::Path;
 
 use glam::Vec3;
 use octobayes::Result;
-use octobayes::dataset::Views;
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-use octobayes::field::{ClosedForm, Coordinates, Intrinsics, TrainedField};
+use octobayes::field::{ClosedForm, Intrinsics, TrainedField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
-use octobayes::open::open_in;
-use octobayes::train::{DatasetFiles, TrainSettings};
 use octobayes::uncertainty::UncertaintyField;
+use octobayes_data::Views;
+use octobayes_models::Coordinates;
+use octobayes_models::open_in;
 use octobayes_synth::{DatasetSettings, Up, write_dataset};
+use octobayes_train::{DatasetFiles, TrainSettings};
 
 use super::train::hash_grid;
 

@@ -1,9 +1,9 @@
 //! Models that are trained where they are studied.
 
 use octobayes::Result;
-use octobayes::field::HashGrid;
 use octobayes::geometry::Domain;
-use octobayes::train::{Shot, TrainSettings, Trainer};
+use octobayes_models::HashGrid;
+use octobayes_train::{Shot, TrainSettings, Trainer};
 
 /// A hash grid trained on these images for so many steps.
 pub fn hash_grid(settings: TrainSettings, domain: Domain, shots: &[Shot], steps: u64) -> Result<HashGrid> {

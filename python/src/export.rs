@@ -7,6 +7,7 @@ use octobayes::Error;
 use octobayes::estimate::{Model, RaySettings};
 use octobayes::geometry::Camera;
 use octobayes::uncertainty::{BakedField, UncertaintyField};
+use octobayes_data::write_official;
 use octobayes_show::export::{
     MeshSettings, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
 };
@@ -30,7 +31,7 @@ pub fn export_field(py: Python<'_>, field: &Bound<'_, Uncertainty>, path: PathBu
             write_leaves(&path, &field, matrices.as_ref())
         }
         "hyper tree" => write_hyper_tree(&path, &field),
-        _ => field.write_official(&path),
+        _ => write_official(&field, &path),
     })?
     .or_raise()
 }

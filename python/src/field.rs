@@ -5,9 +5,10 @@ use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use octobayes::geometry::Domain;
-use octobayes::open::refuse_model;
 use octobayes::posterior::Covariance;
-use octobayes::uncertainty::{BakedField, Observability, OfficialGrid, UncertaintyField};
+use octobayes::uncertainty::{BakedField, Observability, UncertaintyField};
+use octobayes_data::OfficialGrid;
+use octobayes_models::refuse_model;
 use octobayes_session::{Finished, Threshold, described};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;

@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use octobayes::glam::Vec3;
-use octobayes::rays::{Gathered, MissingShards, SamplesReader};
+use octobayes::rays::{Gathered, MissingShards};
 use octobayes::render::{RaySample, RaySamples};
 use octobayes::uncertainty::{self, Merging, UncertaintyField};
+use octobayes_data::SamplesReader;
 use octobayes_session::{Accumulation, TrainingPixels, check_fields};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;

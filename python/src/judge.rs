@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use octobayes::dataset::{DepthKind, Part, camera_file, passed_over};
 use octobayes::monitor::Message;
 use octobayes::uncertainty::UncertaintyField;
+use octobayes_data::{DepthKind, Part, camera_file, passed_over};
 use octobayes_evaluation::{DepthFiles, Evaluation, Reading};
 use octobayes_session::CameraSource;
 use pyo3::prelude::*;

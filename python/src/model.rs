@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::Error;
-use octobayes::field::{Coordinates, Intrinsics, Radiance, RadianceField, RadianceJet};
+use octobayes::field::{Intrinsics, Radiance, RadianceField, RadianceJet};
 use octobayes::glam::Vec3;
+use octobayes_models::Coordinates;
 use octobayes_session::OpenedModel;
 use pyo3::prelude::*;
 use rayon::prelude::*;

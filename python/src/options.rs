@@ -1,14 +1,15 @@
 //! Settings and cameras as Python hands them over.
 
 use numpy::PyReadonlyArray2;
-use octobayes::dataset::{Selection, rigid_pose};
 use octobayes::estimate::{GridSettings, RaySettings};
 use octobayes::geometry::{Aabb, Camera, Distortion, Domain, Norm};
 use octobayes::glam::{DMat3, DVec3, Vec3};
 use octobayes::posterior::{Covariance, Criterion};
 use octobayes::rays::Pixels;
 use octobayes::render::RayAverage;
-use octobayes::uncertainty::{Comparison, OfficialGrid};
+use octobayes::uncertainty::Comparison;
+use octobayes_data::OfficialGrid;
+use octobayes_data::{Selection, rigid_pose};
 use octobayes_evaluation::{DepthFiles, Evaluation};
 use octobayes_next_view::Settings;
 use octobayes_session::{Choices, Resolution};

@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
-use octobayes::dataset::{Frame, MaskFile, Part, ResolutionSource, Views, camera_file, passed_over};
 use octobayes::estimate::{self, Checkpoint, Goal};
 use octobayes::geometry::{Camera, Mask};
 use octobayes::glam::Vec3;
 use octobayes::monitor::Message;
+use octobayes_data::{Frame, MaskFile, Part, ResolutionSource, Views, camera_file, passed_over};
 use octobayes_evaluation::TrainingImages;
 use octobayes_session::{CameraSource, OpenedModel, Session};
 use pyo3::exceptions::PyValueError;

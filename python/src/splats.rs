@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
-use octobayes::splats::{RenderMode, SplatRenderer, Splats as Gaussians};
 use octobayes::{Error, Result};
 use octobayes_session::OpenedModel;
 use octobayes_show::export::{SeenSplats, write_splats};
+use octobayes_splats::{RenderMode, SplatRenderer, Splats as Gaussians};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -26,7 +26,7 @@ pub struct OpenedSplats {
 impl OpenedSplats {
     /// The splats.
     pub fn splats(&self) -> &Gaussians {
-        self.opened.model.splats().expect("splats were opened")
+        Gaussians::of(&*self.opened.model).expect("splats were opened")
     }
 }
 
@@ -36,7 +36,7 @@ pub struct Splats(pub OpenedSplats);
 
 fn open(name: &str, mode: Option<RenderMode>) -> Result<OpenedSplats> {
     let opened = OpenedModel::open(name, None, mode)?;
-    if opened.model.splats().is_none() {
+    if Gaussians::of(&*opened.model).is_none() {
         return Err(Error::setting(format!("model `{name}`"), "Gaussian splats", opened.model.kind()));
     }
     Ok(OpenedSplats { opened })
@@ -62,7 +62,7 @@ impl Splats {
     /// Whether a file of this name is one of splats.
     #[staticmethod]
     fn is_file(name: PathBuf) -> bool {
-        name.to_str().is_some_and(octobayes::open::is_of_splats)
+        name.to_str().is_some_and(octobayes_models::is_of_splats)
     }
 
     /// What a user should know if a field, named `name`, does not belong to the splats.

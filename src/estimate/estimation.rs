@@ -128,8 +128,8 @@ pub struct Estimation<'a> {
 impl<'a> Estimation<'a> {
     /// Creates a run for the uncertainty of `model` given its training `cameras`, over the model's own box.
     ///
-    /// For splats, [`seen_domain`](crate::splats::seen_domain) is a better choice where strays lie far away. What a
-    /// model [lacks](Model::lacks) is refused.
+    /// What the model says that it [covers](Model::covered) is a better choice where strays lie far away. What a model
+    /// [lacks](Model::lacks) is refused.
     pub fn new(model: &'a dyn Model, cameras: &'a [Camera]) -> Self {
         Self {
             model,
@@ -210,8 +210,7 @@ impl<'a> Estimation<'a> {
         Self { source: source.into(), ..self }
     }
 
-    /// Sets a checksum of the model's content ([`open::checksum`](crate::open::checksum)). Results are matched by
-    /// this checksum instead of a name.
+    /// Sets a checksum of the model's content. Results are matched by this checksum instead of a name.
     pub fn checksum(self, checksum: u32) -> Self {
         Self { checksum: Some(checksum), ..self }
     }

@@ -37,7 +37,7 @@ pub use field_builder::FieldBuilder;
 pub use framing::Framing;
 pub use grid::{GridKind, GridSettings};
 pub use mean_error::SamplingError;
-pub use model::{Feature, Model, known_cameras, require};
+pub use model::{Feature, Model, known_cameras, lacks_of_no_field, require};
 pub use plan::Plan;
 pub use positions::PositionCheck;
 pub use rays::RaySettings;

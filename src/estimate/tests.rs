@@ -4,7 +4,6 @@ mod entries;
 mod foreseen;
 mod overflow;
 mod pooling;
-mod splats;
 mod surface;
 
 use std::sync::atomic::{AtomicU64, Ordering};

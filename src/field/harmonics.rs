@@ -20,8 +20,8 @@ const C3X: f64 = 1.445_305_721_320_277;
 
 /// Their values at the unit vector (x, y, z) in f32, where x² + y² + z² = 1 saves work: the encoding of the viewing
 /// direction in radiance fields.
-#[cfg(feature = "files")]
 #[inline(always)]
+#[must_use]
 pub fn spherical_harmonics(x: f32, y: f32, z: f32) -> [f32; COUNT] {
     // Their digits are part of every trained model.
     const C0: f32 = 0.282_094_8;
@@ -56,6 +56,7 @@ pub fn spherical_harmonics(x: f32, y: f32, z: f32) -> [f32; COUNT] {
 }
 
 /// Their values at d, as homogeneous polynomials in its components.
+#[must_use]
 pub fn values(d: DVec3) -> [f64; COUNT] {
     let DVec3 { x, y, z } = d;
     let (xx, yy, zz) = (x * x, y * y, z * z);
@@ -80,6 +81,7 @@ pub fn values(d: DVec3) -> [f64; COUNT] {
 }
 
 /// Gradients of these polynomials by the components of d.
+#[must_use]
 pub fn gradients(d: DVec3) -> [DVec3; COUNT] {
     let DVec3 { x, y, z } = d;
     let (xx, yy, zz) = (x * x, y * y, z * z);

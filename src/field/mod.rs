@@ -1,34 +1,14 @@
 //! Radiance fields: density and colour at a point, seen from a direction.
 //!
 //! Everything downstream sees a field only through [`RadianceField`], so any architecture can be a black box.
-//! How models are stored is private to this module.
 
 #[doc(hidden)]
 pub mod closed_form;
-#[cfg(feature = "files")]
-pub(crate) mod elementary;
-pub(crate) mod harmonics;
-#[cfg(feature = "train")]
-pub(crate) mod hash_grid;
-#[cfg(feature = "files")]
-mod mlp;
-#[cfg(feature = "files")]
-mod ppng;
-#[cfg(feature = "files")]
+#[doc(hidden)]
+pub mod harmonics;
 mod voxel;
-#[cfg(feature = "files")]
-mod window;
 
 pub use closed_form::ClosedForm;
-#[cfg(feature = "train")]
-pub use hash_grid::{HashGrid, HashGridConfig};
-#[cfg(feature = "files")]
-pub use mlp::NerfMlp;
-#[cfg(feature = "files")]
-pub(crate) use mlp::is_checkpoint;
-#[cfg(feature = "files")]
-pub use ppng::{Coordinates, Ppng};
-#[cfg(feature = "files")]
 pub use voxel::VoxelGrid;
 
 use glam::Vec3;

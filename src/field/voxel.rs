@@ -1,17 +1,12 @@
-//! A field on a regular grid, from a plain `.npz`. Any NeRF can be baked into it.
+//! A field on a regular grid, into which any NeRF can be baked.
 //!
-//! `density` f32 `[X, Y, Z]` (1 / scene unit, ≥ 0), `color` f32 `[X, Y, Z, 3]` in `[0, 1]`,
-//! `box` f32 `[2, 3]` (min, max in scene units). Values sit on grid points, which include all faces of the box.
-//! They are trilinear in between; outside the box the density is zero.
-
-use std::path::Path;
+//! Values sit on grid points, which include all faces of the box. They are trilinear in between; outside the box the
+//! density is zero.
 
 use glam::{DVec3, Vec3};
 
 use super::{Differentiable, Radiance, RadianceField, RadianceJet, TrainedField};
 use crate::geometry::Aabb;
-use crate::io::Real;
-use crate::io::npz::{NpzReader, NpzWriter};
 use crate::octree::trilinear;
 use crate::{Error, Result};
 
@@ -41,39 +36,36 @@ pub struct VoxelGrid {
 }
 
 impl VoxelGrid {
-    /// Reads the three arrays from an `.npz` file.
+    /// A grid of these `values` (`[X, Y, Z]`, z fastest: red, green, blue in `[0, 1]`, density ≥ 0).
     ///
     /// # Errors
-    /// If an array is missing, is not of numbers, is of another shape, or holds values outside its range.
-    pub fn read(path: &Path) -> Result<Self> {
-        let mut npz = NpzReader::open(path)?;
-        // Shapes first, which stand at the start of each member: a megabyte may unfold to a gigabyte.
-        npz.stream::<Real>("box")?.expect_shape(&[Some(2), Some(3)])?;
-        let density = npz.stream::<Real>("density")?;
-        density.expect_shape(&[None, None, None])?;
-        let shape = density.shape().to_vec();
+    /// If an axis has fewer than 2 grid points, if their number is another, or if a value is out of range.
+    pub fn new(bounds: Aabb, shape: [usize; 3], values: Vec<[f32; 4]>) -> Result<Self> {
         if shape.iter().any(|&n| n < 2) {
-            let found = format!("{shape:?}");
-            return Err(Error::malformed(path, "array `density`", "at least 2 grid points per axis", found));
+            return Err(Error::setting("grid", "at least 2 grid points per axis", format!("{shape:?}")));
         }
-        drop(density);
-        let of_color: Vec<Option<u64>> = shape.iter().copied().chain([3]).map(Some).collect();
-        npz.stream::<Real>("color")?.expect_shape(&of_color)?;
+        if Some(values.len()) != shape.iter().try_fold(1_usize, |product, &n| product.checked_mul(n)) {
+            return Err(Error::setting("grid", format!("values for {shape:?}"), format!("{} values", values.len())));
+        }
+        let is_in_range = |[r, g, b, density]: &[f32; 4]| {
+            [r, g, b].iter().all(|v| (0.0..=1.0).contains(*v)) && *density >= 0.0 && density.is_finite()
+        };
+        if let Some(found) = values.iter().find(|value| !is_in_range(value)) {
+            return Err(Error::setting("grid", "colours from 0 to 1, finite densities >= 0", format!("{found:?}")));
+        }
+        Ok(Self { bounds, shape, values })
+    }
 
-        let corners = npz.reals("box")?;
-        let density = npz.reals("density")?;
-        let [nx, ny, nz] = [density.shape[0], density.shape[1], density.shape[2]];
-        check_range(path, "density", &density.data, "finite values >= 0", |v| v >= 0.0 && v.is_finite())?;
-        let color = npz.reals("color")?;
-        check_range(path, "color", &color.data, "values from 0 to 1", |v| (0.0..=1.0).contains(&v))?;
+    /// Grid points per axis.
+    #[must_use]
+    pub fn shape(&self) -> [usize; 3] {
+        self.shape
+    }
 
-        let corner = |row: usize| DVec3::from([0, 1, 2].map(|axis| f64::from(corners.data[3 * row + axis])));
-        let bounds = Aabb::new(corner(0), corner(1)).map_err(|_| {
-            Error::malformed(path, "array `box`", "finite min < max along x, y and z", format!("{:?}", corners.data))
-        })?;
-        let values =
-            density.data.iter().zip(color.data.as_chunks::<3>().0).map(|(&d, &[r, g, b])| [r, g, b, d]).collect();
-        Ok(Self { bounds, shape: [nx, ny, nz], values })
+    /// `[X, Y, Z]`, z fastest: red, green, blue, density.
+    #[must_use]
+    pub fn values(&self) -> &[[f32; 4]] {
+        &self.values
     }
 
     /// Samples another field at the grid points along direction `view`, because a grid has no view
@@ -102,20 +94,6 @@ impl VoxelGrid {
             }
         }
         grid
-    }
-
-    /// Writes the three arrays as `.npz`.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
-    pub fn write(&self, path: &Path) -> Result<()> {
-        let mut npz = NpzWriter::create(path)?;
-        let [nx, ny, nz] = self.shape.map(|n| n as u64);
-        let corners = [self.bounds.min(), self.bounds.max()].map(|v| v.as_vec3().to_array());
-        npz.array("box", &[2, 3], corners.iter().flatten().copied())?;
-        npz.array("density", &[nx, ny, nz], self.values.iter().map(|v| v[3]))?;
-        npz.array("color", &[nx, ny, nz, 3], self.values.iter().flat_map(|v| [v[0], v[1], v[2]]))?;
-        npz.finish()
     }
 
     /// The eight values around a point in the order of cell corners (bit 0 is x), and the offset between
@@ -186,13 +164,6 @@ impl Differentiable for VoxelGrid {
     }
 }
 
-fn check_range(path: &Path, name: &str, data: &[f32], expected: &str, accept: impl Fn(f32) -> bool) -> Result<()> {
-    match data.iter().position(|&v| !accept(v)) {
-        Some(i) => Err(Error::malformed(path, format!("array `{name}`, element {i}"), expected, data[i].to_string())),
-        None => Ok(()),
-    }
-}
-
 impl RadianceField for VoxelGrid {
     fn bounds(&self) -> Aabb {
         self.bounds
@@ -232,24 +203,35 @@ mod tests {
     use crate::field::ClosedForm;
 
     #[test]
-    fn values_sit_on_grid_points_and_survive_the_file() {
+    fn values_sit_on_grid_points() {
         let ball = ClosedForm::ball();
         let grid = VoxelGrid::bake(&ball, [9, 8, 7], Vec3::Z);
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ball.npz");
-        grid.write(&path).unwrap();
-        let read = VoxelGrid::read(&path).unwrap();
-        assert_eq!(read, grid);
 
         let points = [Vec3::new(0.25, 1.0, -1.0 / 3.0), Vec3::new(-1.0, -1.0, 0.0), Vec3::new(0.0, 1.0 / 7.0, 1.0)];
         let (mut expected, mut found) = ([Radiance::default(); 3], [Radiance::default(); 3]);
         ball.evaluate(&points, &[Vec3::Z; 3], &mut expected);
-        read.evaluate(&points, &[Vec3::Z; 3], &mut found);
+        grid.evaluate(&points, &[Vec3::Z; 3], &mut found);
         for (e, f) in expected.iter().zip(&found) {
             // Positions are grid points up to f32 rounding, and the density slope is below 1000 per unit.
             assert!((e.density - f.density).abs() < 1e-3 && (e.color - f.color).abs().max_element() < 1e-3);
         }
-        assert_eq!(read.at(Vec3::new(0.0, 0.0, 1.001)).density, 0.0);
+        assert_eq!(grid.at(Vec3::new(0.0, 0.0, 1.001)).density, 0.0);
+    }
+
+    #[test]
+    fn values_out_of_range_and_of_another_number_are_refused() {
+        let new = |shape, values| VoxelGrid::new(Aabb::centered_cube(1.0), shape, values);
+        let gray = [0.5, 0.5, 0.5, 1.0];
+        assert!(new([2; 3], vec![gray; 8]).is_ok());
+        assert!(new([2; 3], vec![gray; 7]).is_err() && new([1, 2, 4], vec![gray; 8]).is_err());
+        assert!(new([usize::MAX, usize::MAX, 2], vec![gray; 8]).is_err());
+        for wrong in
+            [[1.1, 0.0, 0.0, 0.0], [f32::NAN, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0], [0.0, 0.0, 0.0, f32::INFINITY]]
+        {
+            let mut values = vec![gray; 8];
+            values[5] = wrong;
+            assert!(new([2; 3], values).is_err(), "{wrong:?}");
+        }
     }
 
     #[test]

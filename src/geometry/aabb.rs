@@ -5,10 +5,6 @@ use glam::{DVec3, Vec3};
 use super::Ray;
 use crate::{Error, Result};
 
-/// instant-ngp's factor from scene units of NeRF-synthetic data sets to its unit cube.
-#[cfg(feature = "files")]
-pub(crate) const NGP_SCALE: f64 = 0.33;
-
 /// An axis-aligned box `[min, max]` in scene units, of positive finite size along every axis.
 ///
 /// ```

@@ -9,19 +9,20 @@ use super::{Distortion, Mask, Ray};
 /// Largest accepted image: 100 megapixels.
 pub const MAX_PIXELS: f64 = 1e8;
 /// Largest accepted image side; a larger one means a damaged file.
-pub(crate) const MAX_SIDE: f64 = 65_536.0;
+pub const MAX_SIDE: f64 = 65_536.0;
 /// Largest distance of an image corner from the optical axis, on the plane at depth 1. Beyond it there is no
 /// picture, and the length of a ray overflows.
-pub(crate) const MAX_REACH: f64 = 1e6;
+pub const MAX_REACH: f64 = 1e6;
 /// Largest accepted [`skew`] of camera axes. Poses are written with 6 to 8 digits; optimised ones drift a
 /// little more.
-pub(crate) const MAX_SKEW: f64 = 1e-2;
+pub const MAX_SKEW: f64 = 1e-2;
 
 /// Largest share of pixels that may lie beyond the fold of a lens.
 const MAX_SHARE_WITHOUT_RAYS: f64 = 0.02;
 
 /// How far axes A are from a rotation: the largest entry of AᵀA − 1.
-pub(crate) fn skew(axes: DMat3) -> f64 {
+#[must_use]
+pub fn skew(axes: DMat3) -> f64 {
     let rest = axes.transpose() * axes - DMat3::IDENTITY;
     rest.to_cols_array().iter().fold(0.0, |m, v| m.max(v.abs()))
 }

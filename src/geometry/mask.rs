@@ -5,12 +5,13 @@ use std::sync::Arc;
 use super::Camera;
 
 /// The pixel of `from` along an axis that has the centre of pixel `i` of `to`.
-pub(crate) fn nearest(i: u32, from: u32, to: u32) -> u32 {
+#[must_use]
+pub fn nearest(i: u32, from: u32, to: u32) -> u32 {
     ((2 * u64::from(i) + 1) * u64::from(from) / (2 * u64::from(to))) as u32
 }
 
 /// The pixels of `from` along an axis that pixel `i` of `to` covers, each with its share, which are `from` together.
-pub(crate) fn covered(i: u32, from: u32, to: u32) -> impl Iterator<Item = (u32, u64)> {
+pub fn covered(i: u32, from: u32, to: u32) -> impl Iterator<Item = (u32, u64)> {
     // A pixel of `from` is `to` units long, and a pixel of `to` is `from` units long.
     let [i, from, to] = [i, from, to].map(u64::from);
     let [start, end] = [i * from, (i + 1) * from];

@@ -15,20 +15,19 @@ mod ray;
 mod upright;
 
 pub use aabb::Aabb;
-#[cfg(feature = "files")]
-pub(crate) use aabb::NGP_SCALE;
 pub use camera::Camera;
-#[doc(hidden)]
-pub use camera::MAX_PIXELS;
-#[cfg(feature = "files")]
-pub(crate) use camera::{MAX_REACH, MAX_SIDE, MAX_SKEW, skew};
 pub use distortion::Distortion;
 pub use domain::{Domain, Norm};
 pub use lattice::{Lattice, MAX_LEVEL};
 pub use mask::{Mask, kept_pixels};
-#[cfg(feature = "files")]
-pub(crate) use mask::{covered, nearest};
 pub use named::NamedCamera;
 pub use poses::{inverted, opencv};
 pub use ray::Ray;
 pub use upright::upright;
+
+// What only our own crates name.
+#[doc(hidden)]
+pub use {
+    camera::{MAX_PIXELS, MAX_REACH, MAX_SIDE, MAX_SKEW, skew},
+    mask::{covered, nearest},
+};

@@ -67,7 +67,6 @@ impl AtomicFile {
     }
 
     /// Writes a whole file.
-    #[cfg(feature = "files")]
     pub fn write(target: &Path, content: &[u8]) -> Result<()> {
         let mut file = Self::create(target)?;
         file.write_all(content).map_err(Error::io(target, "cannot write"))?;
@@ -91,7 +90,6 @@ impl AtomicFile {
     }
 
     /// Returns the temporary file, read from its start, for content that is copied elsewhere instead of committed.
-    #[cfg(feature = "files")]
     pub fn into_reader(self) -> io::Result<(File, tempfile::TempPath)> {
         let (mut file, path) = self.writer.into_inner().map_err(io::IntoInnerError::into_error)?.into_parts();
         file.seek(SeekFrom::Start(0))?;

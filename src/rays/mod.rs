@@ -3,15 +3,13 @@
 //! A run of `R` rays is split into batches of 512, and any batch can be drawn by itself. [`PixelSequence`]
 //! chooses the pixel of each ray. [`RayStream`] traces and differentiates it. [`Shard`] is the part of a run that
 //! one process draws, and [`RunProgress`] records how far it has come. Samples with Jacobians that were computed
-//! elsewhere come from a [file](SamplesReader) instead.
+//! elsewhere are [gathered](Gathered) instead.
 
 mod by_camera;
 mod gathered;
 mod missing;
 mod pixels;
 mod portions;
-#[cfg(feature = "files")]
-mod samples_file;
 mod seeds;
 mod shard;
 mod stream;
@@ -22,8 +20,6 @@ pub use gathered::Gathered;
 pub use gathered::MOST_SAMPLES;
 pub use missing::MissingShards;
 pub use pixels::Pixels;
-#[cfg(feature = "files")]
-pub use samples_file::{SamplesReader, SamplesWriter};
 pub(crate) use seeds::Purpose;
 pub(crate) use shard::MAX_RAYS;
 pub use shard::{RaySet, RunProgress, Shard};

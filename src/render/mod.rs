@@ -27,7 +27,6 @@ pub use ray_average::RayAverage;
 pub use renderer::{CameraView, ImagePoints, Outputs, Renderer, WeightedSamples};
 pub use samples::{RaySample, RaySamples, VisibleSegment};
 pub use view::RenderedView;
-pub(crate) use view::{WeightedRays, check_size};
 pub(crate) use volume::INSIDE_MATTER_SAMPLES;
 pub use volume::VolumeRenderer;
 
@@ -42,5 +41,5 @@ pub use self::{
     noise::DifferenceError,
     occupancy::Occupancy,
     trace::{TraceBuffers, Tracer},
-    view::{render_rays, render_view, render_view_with_depth},
+    view::{WeightedRays, check_size, render_rays, render_view, render_view_with_depth},
 };

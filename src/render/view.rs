@@ -90,7 +90,7 @@ pub fn render_view_with_depth(
 }
 
 /// Refuses images that are too large.
-pub(crate) fn check_size(camera: &Camera) -> Result<()> {
+pub fn check_size(camera: &Camera) -> Result<()> {
     let [width, height] = camera.resolution;
     if camera.pixels() as f64 <= MAX_PIXELS {
         return Ok(());
@@ -128,7 +128,9 @@ fn render(
 
 impl RenderedView {
     /// The image of `resolution` pixels whose rows, one or several each, are `parts`.
-    pub(crate) fn joined(resolution: [u32; 2], parts: Vec<Self>) -> Self {
+    #[doc(hidden)]
+    #[must_use]
+    pub fn joined(resolution: [u32; 2], parts: Vec<Self>) -> Self {
         let lists = |of: fn(&Self) -> &Vec<Vec<f64>>| vec![Vec::new(); parts.first().map_or(0, |part| of(part).len())];
         let mut view = Self {
             resolution,
@@ -194,23 +196,28 @@ pub fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Optio
 }
 
 /// Rays whose samples are weighted and coloured: all that an image of them needs.
-pub(crate) struct WeightedRays<'a> {
+pub struct WeightedRays<'a> {
+    /// `[rays]`.
     pub rays: &'a [Ray],
     /// `[rays]`: which samples are each ray's.
     pub samples: Vec<Range<usize>>,
+    /// `[samples]`.
     pub quadrature: &'a CompositingWeights,
     /// `[samples]`, scene units.
     pub positions: &'a [Vec3],
+    /// `[samples]`, 0..1.
     pub colors: &'a [Vec3],
     /// `[samples]`: distances along the ray, scene units.
     pub t: &'a [f64],
     /// `[rays]`: variance of the distance of what a ray meets within its samples, scene units².
     pub thickness: Vec<f64>,
+    /// Colour behind all samples.
     pub background: DVec3,
     /// The box in which depths lie.
     pub bounds: Aabb,
     /// `[variances][rays]`: of each ray's expected depth.
     pub posterior_variance: Vec<Vec<f64>>,
+    /// Number of rays with values that are not finite.
     pub dropped: u64,
 }
 

@@ -14,8 +14,6 @@ mod layers;
 mod matrices;
 mod merge;
 mod observability;
-#[cfg(feature = "files")]
-mod official;
 mod precision;
 mod query;
 mod recompute;
@@ -32,8 +30,6 @@ pub use layers::{ErrorBars, ErrorSummary};
 pub use matrices::Matrices;
 pub use merge::{Merging, merge};
 pub use observability::Observability;
-#[cfg(feature = "files")]
-pub use official::OfficialGrid;
 pub use query::Estimate;
 pub use record::RunRecord;
 pub use shown::{Unknown, shown_log10, unknowns};
@@ -195,7 +191,7 @@ impl UncertaintyField {
         self.is_part() && self.layers.sums.is_some()
     }
 
-    /// The same field with the [checksum](crate::open::checksum) of the model that it was computed from.
+    /// The same field with a checksum of the model that it was computed from.
     #[must_use]
     pub fn with_model(mut self, checksum: u32) -> Self {
         self.record.model_checksum = Some(checksum);
@@ -261,7 +257,9 @@ impl UncertaintyField {
     }
 
     /// The vertex at a lattice point. An octree has none where the information is negligible.
-    fn vertex_at(&self, point: [u32; 3]) -> Option<usize> {
+    #[doc(hidden)]
+    #[must_use]
+    pub fn vertex_at(&self, point: [u32; 3]) -> Option<usize> {
         match &self.support {
             Support::Dense => Some(self.lattice.dense_index(point)),
             Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v as usize),

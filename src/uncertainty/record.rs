@@ -13,7 +13,7 @@ pub struct RunRecord {
     pub version: String,
     /// Model and cameras, or the samples file.
     pub source: String,
-    /// Checksum of the model's content ([`crate::open::checksum`]), wherever its file lies.
+    /// Checksum of the model's content, wherever its file lies.
     pub model_checksum: Option<u32>,
     /// Checksum of its cameras and their masks ([`crate::geometry::Camera::checksum_with`]).
     pub cameras_checksum: Option<u32>,

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use super::*;
-use crate::geometry::{Aabb, Domain};
+use crate::geometry::Aabb;
 use crate::octree::trilinear;
 use crate::posterior::{
     Covariance, Criteria, DataScale, DensePosterior, OctreePosterior, Pooling, Posterior, Refinement, Scale, trace,
@@ -180,29 +180,6 @@ fn sums_allow_another_covariance_later() {
     assert_eq!(diagonal.clone().with_covariance(Covariance::Block).unwrap().deviations(), block.deviations());
     let error = diagonal.without_sums().with_covariance(Covariance::Block).unwrap_err();
     assert!(error.to_string().contains("keeps its sums"), "{error}");
-}
-
-#[test]
-fn official_file_has_its_own_index_order() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("unc.npy");
-    let [dense, _] = fields(Covariance::Trace, 1.0);
-    dense.write_official(&path).unwrap();
-    let flat = crate::io::npy::stream::<crate::io::Real>(&path).unwrap().into_reals().unwrap();
-    let m = 32_usize;
-    assert_eq!(flat.shape, [(m + 1).pow(3)]);
-    // A vertex away from the upper faces has the entry x·M² + y·M + z to itself.
-    let inner = (1..31_u32).flat_map(|x| (1..31).flat_map(move |y| (1..31).map(move |z| [x, y, z])));
-    let point = inner.max_by(|&a, &b| dense.trace_at(a).unwrap().total_cmp(&dense.trace_at(b).unwrap())).unwrap();
-    let index = (point[0] as usize * m + point[1] as usize) * m + point[2] as usize;
-    let trace = dense.trace_at(point).unwrap();
-    assert!(trace > 0.0 && (f64::from(flat.data[index]) / trace - 1.0).abs() < 1e-6);
-
-    let domain = Domain::Box(Aabb::centered_cube(1.0));
-    let read = OfficialGrid { domain, rays: 20, lambda: None }.read(&path).unwrap();
-    for x in [Vec3::new(0.25, -0.25, 0.2), Vec3::new(-0.4, 0.1, 0.3), Vec3::ZERO] {
-        assert!((read.log10(x) - dense.log10(x)).abs() < 1e-6, "{x}");
-    }
 }
 
 #[test]

@@ -5,7 +5,6 @@ use glam::Vec3;
 use super::{Answer, BakedField, Observability};
 use crate::field::{Radiance, RadianceField, TrainedField};
 use crate::geometry::Aabb;
-use crate::splats::Splats;
 
 /// Largest share of the visible surfaces that a clean-up removes without a warning.
 pub const NEARLY_ALL: f64 = 0.9;
@@ -31,15 +30,16 @@ pub fn threshold_warning(field: &BakedField, log10: f64) -> Option<String> {
     })
 }
 
-/// `[n]`: which splats a clean-up keeps: those at whose centre log10 U is at most `threshold`, but none that was never
-/// seen, whose U is not that of a look at it. From the prior on, all are kept.
+/// `[n]`: which parts with these `centers` (`[n]`, such as those of splats) a clean-up keeps: those at whose centre
+/// log10 U is at most `threshold`, but none that was never seen, whose U is not that of a look at it. From the prior on,
+/// all are kept.
 #[must_use]
-pub fn is_certain(splats: &Splats, field: &BakedField, threshold: f64) -> Vec<bool> {
+pub fn is_certain(centers: &[Vec3], field: &BakedField, threshold: f64) -> Vec<bool> {
     let is_all = threshold >= field.field().record().reading().prior().log10();
     let is_kept = |at: Answer| {
         at.estimate.uncertainty.log10() <= threshold && (is_all || at.observability != Some(Observability::Unseen))
     };
-    field.answers(splats.means()).into_iter().map(is_kept).collect()
+    field.answers(centers).into_iter().map(is_kept).collect()
 }
 
 /// A radiance field whose density is zero wherever log10 U exceeds a threshold.

@@ -1,8 +1,6 @@
-//! The numbers: against an independent oracle in f64, against symmetries of space, within stated tolerances, and on
-//! pre-trained models.
+//! The numbers: against an independent oracle in f64, against symmetries of space, and within stated tolerances.
 
 mod compare;
-mod data;
 mod depth;
 mod laws;
 mod oracle;

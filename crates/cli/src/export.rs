@@ -8,18 +8,18 @@ use super::options::{CameraOptions, MAX_KEPT_COUNT, OfficialOptions, UTF_8, coun
 use super::progress::Bars;
 use super::report;
 use super::streams::tell;
-use octobayes::dataset::{FrameSplit, Part, Selection, Views};
 use octobayes::estimate::{Model, RaySettings};
 use octobayes::geometry::{Camera, Domain};
-use octobayes::open;
-use octobayes::splats::{SplatRenderer, Splats};
 use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
+use octobayes_data::write_official;
+use octobayes_data::{FrameSplit, Part, Selection, Views};
 use octobayes_session::{OpenedModel, Threshold, image_settings};
 use octobayes_show::export::{
     MeshSettings, SeenSplats, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points,
     write_report, write_splats,
 };
+use octobayes_splats::{SplatRenderer, Splats};
 
 /// Write a field for other tools: NumPy, ParaView, CloudCompare, Blender, spreadsheets, the official code
 ///
@@ -172,7 +172,7 @@ impl Args {
                 return say!("{}: {}", self.output.display(), report::summary(&field.summary()));
             }
             (Kind::Official, _) => {
-                field.write_official(&self.output)?;
+                write_official(&field, &self.output)?;
                 let (rays, lambda) = (field.record().rays, field.record().lambda);
                 return say!(
                     "{}: Σ tr(JᵀJ) of {rays} rays; uncertainty there is log10 of sqrt(1 / (Σ/{rays} + {lambda:e}))",
@@ -254,7 +254,7 @@ impl Args {
     fn with_model(&self, kind: Kind, model: &str, path: &Path, field: &UncertaintyField, bars: &Bars) -> Result<()> {
         let opened = OpenedModel::of_field(field, path, model, self.force, &mut tell)?;
         let settings = image_settings(field);
-        if let Some(splats) = opened.model.splats() {
+        if let Some(splats) = Splats::of(&*opened.model) {
             return self.of_splats(kind, splats, settings, field, bars);
         }
         let model = &*opened.model;
@@ -264,7 +264,7 @@ impl Args {
         let shown = part.as_deref().unwrap_or(model);
         if kind == Kind::Mesh {
             let mesh = MeshSettings { resolution: self.cells, density: self.density };
-            let volume = open::volume(shown, &opened.name)?;
+            let volume = octobayes_models::volume(shown, &opened.name)?;
             let [vertices, triangles] = write_mesh(&self.output, volume, field, mesh, bars)?;
             announce!("note: {vertices} vertices, {triangles} triangles");
             return Ok(());

@@ -3,10 +3,10 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use octobayes::dataset::{Views, taken_for};
 use octobayes::io::AtomicFile;
 use octobayes::io::place::{destination, folder_of};
 use octobayes::{Error, Result};
+use octobayes_data::{Views, taken_for};
 
 /// All files that a command reads and writes, by the names of their options.
 ///

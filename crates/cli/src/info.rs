@@ -9,10 +9,10 @@ use super::options::UTF_8;
 use super::report;
 use octobayes::error::printable;
 use octobayes::estimate::ErrorBudget;
-use octobayes::splats::{QUANTILES, Splats, Summary};
 use octobayes::uncertainty::{Support, UncertaintyField};
 use octobayes::{Error, Result};
 use octobayes_session::described;
+use octobayes_splats::{QUANTILES, Splats, Summary};
 
 /// Show what a field or model file holds, and its memory by part
 #[derive(clap::Args)]
@@ -151,7 +151,7 @@ impl Args {
 
     fn model(&self) -> Result<()> {
         let refused = || Error::setting("FILE", UTF_8, self.file.display().to_string());
-        let field = octobayes::open::open(self.file.to_str().ok_or_else(refused)?)?;
+        let field = octobayes_models::open(self.file.to_str().ok_or_else(refused)?)?;
         let bounds = field.bounds();
         let cameras = field.training_cameras();
         if self.json {

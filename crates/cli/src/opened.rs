@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use octobayes::open::refuse_model;
 use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
+use octobayes_models::refuse_model;
 use octobayes_session::memory::available;
 
 /// Free bytes if the system does not report them.

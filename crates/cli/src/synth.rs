@@ -6,7 +6,7 @@ use std::time::Instant;
 use super::options::{choice, count, parse_resolution};
 use super::progress::Bars;
 use octobayes::Result;
-use octobayes::dataset::Hemisphere;
+use octobayes_data::Hemisphere;
 use octobayes_session::Resolution;
 use octobayes_synth::{DatasetSettings, Up, write_dataset};
 

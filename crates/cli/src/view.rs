@@ -11,15 +11,15 @@ use super::progress::Bars;
 use super::render::bar_of;
 use super::report;
 use super::streams::tell;
-use octobayes::dataset::{Frame, FrameSplit, Part, Selection};
 use octobayes::geometry::Camera;
 use octobayes::render::VolumeRenderer;
-use octobayes::splats::{SplatRenderer, Splats};
 use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
+use octobayes_data::{Frame, FrameSplit, Part, Selection};
 use octobayes_session::{OpenedModel, image_settings};
 use octobayes_show::export::{SeenSplats, surfaces};
 use octobayes_show::viewer::{Page, ShownSplats, ShownVolume, SplatsView, VolumeView, write_splats_view, write_volume};
+use octobayes_splats::{SplatRenderer, Splats};
 
 /// Pixels looked at for the histogram, if the field holds no points on visible surfaces.
 const PIXELS: u64 = 50_000;
@@ -94,7 +94,7 @@ impl Args {
         self.files().check()?;
         let field = open_field(&self.field)?;
         let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
-        let said = match opened.model.splats() {
+        let said = match Splats::of(&*opened.model) {
             Some(splats) => self.of_splats(splats, &opened.name, &field, bars)?,
             None => self.of_volume(&opened, &field, bars)?,
         };

@@ -8,9 +8,9 @@ use std::io::{Read, Write};
 use std::path::Path;
 
 use arrays::npy;
-use octobayes::field::VoxelGrid;
 use octobayes::octree::MaxLevels;
-use octobayes::rays::SamplesReader;
+use octobayes_data::SamplesReader;
+use octobayes_models::read_voxel_grid;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
@@ -52,7 +52,7 @@ fn wrong_shapes_are_refused_without_unfolding() {
         write(&path, &arrays);
         let packed = std::fs::metadata(&path).unwrap().len();
         let region = Region::new(ALLOCATOR);
-        let error = VoxelGrid::read(&path).expect_err("a wrong shape").to_string();
+        let error = read_voxel_grid(&path).expect_err("a wrong shape").to_string();
         let taken = region.change().bytes_allocated;
         assert!(error.contains("expected shape") || error.contains("grid points per axis"), "{error}");
         assert!(packed < 1 << 20 && taken < 1 << 20, "{packed} bytes in the file took {taken}: {error}");

@@ -3,8 +3,8 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use octobayes::dataset::{DepthEncoding, DepthKind, Frame};
 use octobayes::{Error, Result};
+use octobayes_data::{DepthEncoding, DepthKind, Frame};
 
 /// Extensions that a frame's `file_path` may have, in any case.
 const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "exr"];

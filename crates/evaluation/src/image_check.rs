@@ -3,13 +3,13 @@
 
 use glam::{DVec3, Vec3};
 
-use octobayes::dataset::{Frame, PosedImage, SampledImage, has_shape, measure, read_masks};
 use octobayes::geometry::{Camera, NamedCamera, inverted, opencv};
 use octobayes::io::evenly;
 use octobayes::metrics::psnr;
 use octobayes::monitor::{Monitor, check};
 use octobayes::render::Renderer;
 use octobayes::{Error, Result};
+use octobayes_data::{Frame, PosedImage, SampledImage, has_shape, measure, read_masks};
 
 /// Most images that are read, spread over the cameras: one of 12 megapixels takes a tenth of a second.
 const IMAGES: usize = 8;

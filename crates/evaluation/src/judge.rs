@@ -10,7 +10,6 @@ use super::{
 use glam::DVec3;
 
 use crate::metrics::STEPS;
-use octobayes::dataset::{DepthKind, DepthReadings, Frame, FrameSplit, LargestDepth, Part, Selection, Views};
 use octobayes::error::counted;
 use octobayes::estimate::{Model, RaySettings};
 use octobayes::geometry::{Aabb, Camera, Domain, NamedCamera};
@@ -18,6 +17,7 @@ use octobayes::metrics::quantile;
 use octobayes::monitor::{Message, Monitor};
 use octobayes::render::RenderedView;
 use octobayes::{Error, Result};
+use octobayes_data::{DepthKind, DepthReadings, Frame, FrameSplit, LargestDepth, Part, Selection, Views};
 
 /// What else may be wrong if depths are.
 const CAUSES: &str = "likely causes: --depth-encoding, --z-depth, or units of the cameras";

@@ -5,6 +5,18 @@
 //! and a [`TrueView`] is what a camera should see. [`Evaluator`] renders the model there, and computes the
 //! depth error and all [`Measure`]s of uncertainty of every pixel. [`Score`] is how well each measure ranks the error.
 //! [`clean_up()`] removes what is too uncertain and compares the images.
+//!
+//! # Example
+//! Formulas over pixels are in [`metrics`]:
+//! ```
+//! use octobayes_evaluation::metrics::{ErrorKind, sparsification};
+//!
+//! let errors: Vec<f64> = (0..1000).map(|i| f64::from(i % 37)).collect();
+//! // A guess that is right for all but every tenth pixel.
+//! let uncertainty: Vec<f64> = errors.iter().enumerate().map(|(i, e)| if i % 10 == 0 { 0.0 } else { *e }).collect();
+//! let ause = sparsification(&uncertainty, &errors, ErrorKind::Mae).map(|curves| curves.area);
+//! assert!(ause.is_some_and(|area| area > 0.0 && area < 0.2));
+//! ```
 
 // Both macros panic if the stream cannot be written.
 #![cfg_attr(not(test), warn(clippy::print_stderr, clippy::print_stdout))]

@@ -5,10 +5,10 @@ use serde_json::Value;
 
 use super::{CleanUp, DepthError, EvaluatedView, Evaluation, Evaluator, Interval, Measure, Score};
 use crate::metrics::{Calibration, Detection};
-use octobayes::dataset::{DepthKind, DepthReadings};
 use octobayes::estimate::facts;
 use octobayes::render::RayAverage;
 use octobayes::uncertainty::Conformal;
+use octobayes_data::{DepthKind, DepthReadings};
 
 /// The figures of an evaluation, and its protocol. Fields are explained where their types are.
 #[derive(Debug, Clone, Serialize)]

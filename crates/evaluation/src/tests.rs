@@ -6,7 +6,6 @@ use glam::{DVec3, Vec3};
 
 use super::*;
 use crate::metrics::{Calibration, ErrorKind, ensemble_variance, sparsification};
-use octobayes::dataset::DepthReadings;
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::field::{ClosedForm, Radiance, RadianceField, TrainedField};
 use octobayes::geometry::{Aabb, Camera, Domain};
@@ -14,6 +13,7 @@ use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{RayAverage, Renderer, VolumeRenderer};
 use octobayes::uncertainty::{BakedField, UncertaintyField};
+use octobayes_data::DepthReadings;
 
 /// An empty field in the ball's box.
 struct Nothing(Aabb);

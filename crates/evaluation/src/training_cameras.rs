@@ -3,9 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use octobayes::dataset::{Frame, FrameSplit, Part, Selection, Views, read_masks};
 use octobayes::estimate::Model;
 use octobayes::geometry::{Camera, NamedCamera};
+use octobayes_data::{Frame, FrameSplit, Part, Selection, Views, read_masks};
 
 /// The training cameras of `model`, called `name`: those that it stores. Of splats, those of the checksum that their
 /// field was computed with, if a camera file has them: `views`, of the file `path`, or one beside that file or the

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use super::TrueView;
 use super::depth_files::each_has_its_own;
-use octobayes::dataset::{Frame, image_path};
 use octobayes::geometry::Lattice;
 use octobayes::monitor::Monitor;
 use octobayes::render::Renderer;
 use octobayes::uncertainty::{ColorSpread, ColorSums, ResidualSums, Residuals, UncertaintyField};
 use octobayes::{Error, Result};
+use octobayes_data::{Frame, image_path};
 
 /// Approximate number of rendered pixels, over all training images.
 const PIXELS: u64 = 1 << 18;
@@ -149,11 +149,11 @@ mod tests {
     use glam::{DVec3, Vec3};
 
     use super::*;
-    use octobayes::dataset::DepthReadings;
     use octobayes::field::{ClosedForm, RadianceField};
     use octobayes::geometry::Camera;
     use octobayes::monitor::Silent;
     use octobayes::render::{Marcher, Tracer, VolumeRenderer};
+    use octobayes_data::DepthReadings;
 
     const SIDE: u32 = 64;
 

@@ -6,10 +6,10 @@ use rayon::prelude::*;
 
 use super::DepthMeaning;
 use octobayes::Result;
-use octobayes::dataset::{DepthReadings, Frame};
 use octobayes::geometry::Camera;
 use octobayes::monitor::{Monitor, check};
 use octobayes::render::{Pixel, RenderedView, Renderer};
+use octobayes_data::{DepthReadings, Frame};
 
 /// Pixels along the longer side of a camera's depth map.
 const SIDE: u32 = 128;
@@ -181,10 +181,10 @@ mod tests {
 
     use super::*;
     use crate::{DepthFiles, FramesWithDepth};
-    use octobayes::dataset::DepthKind;
     use octobayes::field::{ClosedForm, RadianceField};
     use octobayes::monitor::Silent;
     use octobayes::render::{Marcher, Tracer, VolumeRenderer};
+    use octobayes_data::DepthKind;
 
     #[test]
     fn a_ball_is_seen_from_the_side_of_its_cameras() {
@@ -242,7 +242,7 @@ mod tests {
                 };
                 let depths = (0..400 * 400).map(&mut depth).collect();
                 let path = folder.path().join(format!("r_{i}.exr"));
-                octobayes::io::write_exr(&path, [400; 2], vec![("depth.Z", depths)]).unwrap();
+                octobayes_data::write_exr(&path, [400; 2], vec![("depth.Z", depths)]).unwrap();
             }
             let FramesWithDepth { frames, encoding, .. } = files.find(folder.path(), &frames, &frames).unwrap();
             let depth = DepthMeaning { encoding, bounds: octobayes::geometry::Aabb::centered_cube(RADIUS) };

@@ -2,11 +2,9 @@
 
 use glam::DVec3;
 
-use octobayes::dataset::{
-    DepthEncoding, DepthKind, DepthMap, DepthReadings, Frame, LargestDepth, PosedImage, read_masks,
-};
 use octobayes::geometry::{Aabb, Camera};
 use octobayes::{Error, Result};
+use octobayes_data::{DepthEncoding, DepthKind, DepthMap, DepthReadings, Frame, LargestDepth, PosedImage, read_masks};
 
 /// How depth maps are read.
 #[derive(Debug, Clone, Copy)]

@@ -9,9 +9,10 @@ use octobayes::geometry::Domain;
 use octobayes::monitor::Message;
 use octobayes::monitor::Monitor;
 use octobayes::posterior::Pooling;
-use octobayes::rays::{RunProgress, SamplesReader};
+use octobayes::rays::RunProgress;
 use octobayes::render::RaySamples;
 use octobayes::{Error, Result};
+use octobayes_data::SamplesReader;
 
 /// Sums of samples whose Jacobians were computed elsewhere.
 pub struct Accumulation {

@@ -7,14 +7,13 @@ use glam::Vec3;
 
 use super::OpenedModel;
 use octobayes::estimate::RaySettings;
-use octobayes::field::Coordinates;
 use octobayes::geometry::Aabb;
 use octobayes::monitor::Message;
-use octobayes::open;
 use octobayes::posterior::Scale;
-use octobayes::splats::RenderMode;
 use octobayes::uncertainty::{RunRecord, UncertaintyField};
 use octobayes::{Error, Result};
+use octobayes_models::Coordinates;
+use octobayes_splats::RenderMode;
 
 /// Priors that differ by less, in decades, are the same.
 const SAME_PRIOR: f64 = 0.05;
@@ -93,11 +92,11 @@ fn refuse(
 
 /// The coordinates in which a model of several kinds has a checksum; its file's own if it is another model.
 fn coordinates_of(name: &str, checksum: Option<u32>) -> Result<Option<Coordinates>> {
-    if !open::has_coordinates(name) {
+    if !octobayes_models::has_coordinates(name) {
         return Ok(None);
     }
     for coordinates in Coordinates::ALL {
-        if checksum == Some(open::checksum(name, Some(coordinates))?) {
+        if checksum == Some(octobayes_models::checksum(name, Some(coordinates))?) {
             return Ok(Some(coordinates));
         }
     }
@@ -106,11 +105,11 @@ fn coordinates_of(name: &str, checksum: Option<u32>) -> Result<Option<Coordinate
 
 /// The mode of drawing with which a file of splats has a checksum, if not its own.
 fn mode_of(name: &str, checksum: Option<u32>) -> Result<Option<RenderMode>> {
-    if !open::is_of_splats(name) {
+    if !octobayes_models::is_of_splats(name) {
         return Ok(None);
     }
     for mode in iter::once(None).chain(RenderMode::ALL.map(Some)) {
-        if checksum == Some(open::checksum_in(name, None, mode)?) {
+        if checksum == Some(octobayes_models::checksum_in(name, None, mode)?) {
             return Ok(mode);
         }
     }

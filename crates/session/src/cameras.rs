@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 
 use super::identity::unchanged;
 use super::training_args::TrainingArgs;
-use octobayes::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
 use octobayes::error::{counted, printable};
 use octobayes::estimate::{Model, known_cameras};
 use octobayes::field::Intrinsics;
 use octobayes::geometry::Camera;
 use octobayes::monitor::Message;
 use octobayes::{Error, Result};
+use octobayes_data::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
 
 /// A requested image size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -248,7 +248,7 @@ mod tests {
         let cameras = ClosedForm::half_circle(12, [2, 2]).into_iter().enumerate();
         let named: Vec<_> = cameras.map(|(i, camera)| (format!("r_{i:02}"), camera)).collect();
         let file = folder.path().join("transforms.json");
-        octobayes::dataset::write_transforms(&file, &named).unwrap();
+        octobayes_data::write_transforms(&file, &named).unwrap();
         for (name, _) in &named {
             image::RgbImage::new(2, 2).save(folder.path().join(format!("{name}.png"))).unwrap();
         }

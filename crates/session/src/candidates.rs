@@ -5,13 +5,13 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use octobayes::dataset::Views;
 use octobayes::error::printable;
 use octobayes::estimate::{Framing, Model};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Message;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
+use octobayes_data::Views;
 use octobayes_evaluation::training_cameras;
 use octobayes_next_view::{Blank, Ranking};
 
@@ -96,7 +96,7 @@ impl Candidates<'_> {
         let views = views.unwrap_or_else(|| Views {
             path: nowhere.into(),
             frames: Vec::new(),
-            resolution_source: octobayes::dataset::ResolutionSource::Assumed,
+            resolution_source: octobayes_data::ResolutionSource::Assumed,
             notes: Vec::new(),
         });
         let wanted = self.field.record().cameras_checksum;

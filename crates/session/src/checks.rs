@@ -1,7 +1,6 @@
 //! Messages of the checks before a run, and about its result.
 
 use super::training_args::TrainingArgs;
-use octobayes::dataset::{Frame, ResolutionSource, Views, check_masks};
 use octobayes::error::counted;
 use octobayes::estimate::{CoverageCheck, Model};
 use octobayes::geometry::{Camera, Mask, kept_pixels};
@@ -9,6 +8,7 @@ use octobayes::monitor::{Message, Monitor};
 use octobayes::posterior::Pooling;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
+use octobayes_data::{Frame, ResolutionSource, Views, check_masks};
 use octobayes_next_view::{Around, NextView, Settings};
 
 /// Fewer rays per vertex than this gain from pooling (`experiments/speed_vs_error.md`).

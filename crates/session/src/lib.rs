@@ -7,7 +7,18 @@
 //!
 //! What a user should know arrives as a [`Message`](octobayes::monitor::Message) at `tell`, in the order in which it is
 //! found. Options have the names of the command line, which [`in_flags`] gives to the library's own errors as well;
-//! Python rewrites them into arguments. The command line and Python are two faces of this module.
+//! Python rewrites them into arguments. The command line and Python are two faces of this crate.
+//!
+//! # Example
+//! ```
+//! use octobayes_session::OpenedModel;
+//!
+//! let opened = OpenedModel::open("scene:courtyard", None, None)?;
+//! assert_eq!(opened.model.kind(), "a volume");
+//! // A file is named by its content, too.
+//! assert!(OpenedModel::open("missing.ply", None, None).is_err());
+//! # Ok::<(), octobayes::Error>(())
+//! ```
 
 // Both macros panic if the stream cannot be written.
 #![cfg_attr(not(test), warn(clippy::print_stderr, clippy::print_stdout))]

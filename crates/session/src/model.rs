@@ -6,9 +6,9 @@ use std::sync::Arc;
 use super::identity::unchanged;
 use octobayes::Result;
 use octobayes::estimate::Model;
-use octobayes::field::{Coordinates, RadianceField};
-use octobayes::open;
-use octobayes::splats::RenderMode;
+use octobayes::field::RadianceField;
+use octobayes_models::Coordinates;
+use octobayes_splats::RenderMode;
 
 /// A model that was opened by its name.
 #[derive(Clone)]
@@ -29,9 +29,9 @@ impl OpenedModel {
     /// Opens the model `name`, in a choice of scene coordinates, or of how splats are drawn.
     ///
     /// # Errors
-    /// As [`open::open_model`]; if the file changes meanwhile.
+    /// As [`octobayes_models::open_model`]; if the file changes meanwhile.
     pub fn open(name: &str, coordinates: Option<Coordinates>, mode: Option<RenderMode>) -> Result<Self> {
-        let read = || open::open_model(name, coordinates, mode);
+        let read = || octobayes_models::open_model(name, coordinates, mode);
         let (model, mut source) = unchanged(|| vec![PathBuf::from(name)], read)?;
         let mut source = source.swap_remove(0);
         if let Some(coordinates) = coordinates.filter(|coordinates| *coordinates != Coordinates::default()) {
@@ -40,7 +40,7 @@ impl OpenedModel {
         if let Some(mode) = mode {
             source = format!("{source} in {mode} mode");
         }
-        let checksum = open::checksum_in(name, coordinates, mode)?;
+        let checksum = octobayes_models::checksum_in(name, coordinates, mode)?;
         Ok(Self { name: name.into(), model, coordinates, checksum, source })
     }
 
@@ -49,7 +49,7 @@ impl OpenedModel {
     /// # Errors
     /// If it is none.
     pub fn volume(&self) -> Result<&dyn RadianceField> {
-        open::volume(&*self.model, &self.name)
+        octobayes_models::volume(&*self.model, &self.name)
     }
 
     /// Opens the model `name` for a run: in the coordinates of its file with its own cameras, and in those of
@@ -59,6 +59,6 @@ impl OpenedModel {
     /// As [`OpenedModel::open`].
     pub fn for_cameras(name: &str, has_camera_file: bool, mode: Option<RenderMode>) -> Result<Self> {
         let chosen = if has_camera_file { Coordinates::Blender } else { Coordinates::Ngp };
-        Self::open(name, open::has_coordinates(name).then_some(chosen), mode)
+        Self::open(name, octobayes_models::has_coordinates(name).then_some(chosen), mode)
     }
 }

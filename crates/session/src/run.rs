@@ -10,7 +10,6 @@ use super::memory::{bytes, peak};
 use super::needs::Foresight;
 use super::training_args::TrainingArgs;
 use super::{Choices, Finished, Purpose, TrainingPixels, checks, world};
-use octobayes::dataset::{Frame, Views, memory_of_masks, read_masks};
 use octobayes::estimate::{
     Audit, Checkpoint, ErrorBudget, Estimation, Feature, Goal, GridSettings, Model, Outcome, RayError, RaySettings,
     Run, StepCheck, require,
@@ -18,8 +17,10 @@ use octobayes::estimate::{
 use octobayes::geometry::{Camera, Domain, Mask, kept_pixels};
 use octobayes::monitor::{Message, Monitor};
 use octobayes::posterior::Scale;
-use octobayes::rays::{Pixels, SamplesWriter};
+use octobayes::rays::Pixels;
 use octobayes::{Error, Result};
+use octobayes_data::SamplesWriter;
+use octobayes_data::{Frame, Views, memory_of_masks, read_masks};
 use octobayes_evaluation::{Compared, ImageCheck, TrainingImages, check_images, memory_of_images};
 
 /// Why cameras may see little of splats.

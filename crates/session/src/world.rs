@@ -4,8 +4,8 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use octobayes::Result;
-use octobayes::dataset::{Views, frame_beside, frames_of_training};
 use octobayes::metrics::median;
+use octobayes_data::{Views, frame_beside, frames_of_training};
 
 /// Most points of a COLMAP model, and most splats, that are compared.
 const POINTS: usize = 512;
@@ -26,7 +26,7 @@ pub fn other_frame(centers: &[Vec3], views: &Views) -> Result<Option<String>> {
         return Ok(None);
     }
     let (frames, points) = frames_of_training(&views.path)?;
-    let misfit = |frame: &octobayes::dataset::Similarity| {
+    let misfit = |frame: &octobayes_data::Similarity| {
         let placed: Vec<DVec3> = every(&points, POINTS).map(|point| frame.point(*point)).collect();
         let middle = placed.iter().sum::<DVec3>() / placed.len() as f64;
         let spread = median(placed.iter().map(|point| point.distance(middle)));
@@ -69,7 +69,7 @@ fn every<T>(list: &[T], count: usize) -> impl Iterator<Item = &T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use octobayes::dataset::Similarity;
+    use octobayes_data::Similarity;
 
     /// A model of COLMAP in a new folder, with points in a slab that no turn maps onto itself.
     fn colmap() -> (tempfile::TempDir, Views) {

@@ -11,8 +11,8 @@ use rand::{RngExt, SeedableRng};
 
 use super::mesh::{HALF_HEIGHT, RADIUS};
 use super::trace::GROUND_RADIUS;
-use octobayes::dataset::Hemisphere;
 use octobayes::geometry::Camera;
+use octobayes_data::Hemisphere;
 
 /// The point that cameras look at.
 ///

@@ -13,12 +13,12 @@ use super::texture::{COARSEST, FINEST};
 use super::trace::{GROUND_RADIUS, MeshScene};
 use super::view::{PixelSampling, TracedView, trace_view};
 use super::viewpoints::{ANGLE, DISTANCE, TARGET, viewpoints};
-use octobayes::dataset::Hemisphere;
 use octobayes::geometry::{Aabb, Camera};
 use octobayes::io::AtomicFile;
-use octobayes::io::write_exr;
 use octobayes::monitor::Monitor;
 use octobayes::{Error, Result};
+use octobayes_data::Hemisphere;
+use octobayes_data::write_exr;
 
 /// Depth in scene units of white, 65535, in a depth PNG. One step is 1e-4; the farthest surface
 /// is less than 4.6 away.

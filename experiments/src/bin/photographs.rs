@@ -11,8 +11,8 @@ use octobayes::geometry::{Camera, Domain};
 use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
 use octobayes::render::{GradientMethod, Probe, RayAverage, render_view};
-use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, Trainer};
 use octobayes_evaluation::metrics::spearman;
+use octobayes_train::{DatasetFiles, Selection, Shot, TrainSettings, Trainer};
 use serde::{Deserialize, Serialize};
 
 use common::program::{Needs, Program};

@@ -9,9 +9,9 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use octobayes::geometry::{Domain, Norm};
 use octobayes::monitor::Silent;
-use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, Trainer, quality};
 use octobayes::{Error, Result};
 use octobayes_synth::{DatasetSettings, Up, write_dataset};
+use octobayes_train::{DatasetFiles, Selection, Shot, TrainSettings, Trainer, quality};
 use serde::{Deserialize, Serialize};
 
 use common::clock::Clock;

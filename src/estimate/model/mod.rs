@@ -1,11 +1,11 @@
 //! What a run, an image, an evaluation, a threshold and a next view need of a model.
 //!
-//! Every [`RadianceField`] is a model, and so are [`Splats`]. Another kind of model is one more implementation of
+//! Every [`RadianceField`] is a model. Another kind of model, such as Gaussian splats, is one more implementation of
 //! [`Model`], with the [`Renderer`] that it hands out.
 
-mod splats;
 mod volume;
 
+use std::any::Any;
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
@@ -16,12 +16,10 @@ use crate::field::{Intrinsics, RadianceField};
 use crate::geometry::{Aabb, Camera, Domain, Lattice, NamedCamera};
 use crate::monitor::{Message, Monitor};
 use crate::render::Renderer;
-use crate::splats::Splats;
 use crate::uncertainty::BakedField;
 
 /// What not every model has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Feature {
     /// Rays that are marched, and derivatives of a density: steps, cutoffs, an occupancy grid, an audit.
     March,
@@ -190,14 +188,15 @@ pub trait Model: Send + Sync {
         None
     }
 
-    /// The splats, for what only splats have.
-    fn splats(&self) -> Option<&Splats> {
+    /// The model as its own type, for what only this kind has, such as files of its format.
+    fn concrete(&self) -> Option<&dyn Any> {
         None
     }
 }
 
 /// [`Model::lacks`] of what is no field.
-fn lacks_of_no_field(feature: Feature) -> Option<&'static str> {
+#[must_use]
+pub fn lacks_of_no_field(feature: Feature) -> Option<&'static str> {
     match feature {
         Feature::March => Some("a volume, whose rays are marched and whose density is differentiated"),
         Feature::AnyOrder => {

@@ -19,7 +19,6 @@ use super::options::{MAX_COUNT, UTF_8, count};
 use super::panels::{Ranges, depth_range, error_range, view_panels};
 use super::progress::Bars;
 use super::report;
-use octobayes::dataset::{Frame, write_transforms};
 use octobayes::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
 use octobayes::field::TrainedField;
 use octobayes::geometry::Camera;
@@ -27,11 +26,12 @@ use octobayes::io::AtomicFile;
 use octobayes::monitor::Monitor;
 use octobayes::rays::RunProgress;
 use octobayes::render::{GradientMethod, Probe, RayAverage, RenderedView, render_view};
-use octobayes::train::Quality;
 use octobayes::uncertainty::{BakedField, ThresholdedField, UncertaintyField, compare, unknowns};
 use octobayes::{Error, Result};
+use octobayes_data::{Frame, write_transforms};
 use octobayes_show::picture::{Panel, color_panel, write_noted_sheet, write_sheet};
 use octobayes_show::viewer::{Page, VolumeView, write_volume};
+use octobayes_train::Quality;
 
 /// File name of the trained model, in the folder of results.
 const MODEL: &str = "courtyard.safetensors";
@@ -133,7 +133,7 @@ impl Args {
         self.clean(&subject, octree, shown, bars)?;
         self.pictures(&subject, octree, shown, bars)?;
         self.viewer(&subject, octree, shown, bars)?;
-        let checksum = octobayes::open::checksum(&self.model_name(), None)?;
+        let checksum = octobayes_models::checksum(&self.model_name(), None)?;
         for (field, name) in [(octree, "field.oct"), (dense, "dense.oct")] {
             field.clone().for_queries().with_model(checksum).write(&self.output.join(name))?;
         }

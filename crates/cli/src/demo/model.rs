@@ -4,14 +4,15 @@ use glam::{DVec3, Vec3};
 
 use super::scene::{Truth, courtyard};
 use octobayes::Result;
-use octobayes::dataset::PosedImage;
 use octobayes::estimate::RaySettings;
-use octobayes::field::{HashGrid, HashGridConfig, RadianceField, TrainedField};
+use octobayes::field::{RadianceField, TrainedField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Monitor;
 use octobayes::posterior::DataScale;
 use octobayes::render::render_view;
-use octobayes::train::{Budget, Quality, Run, Shot, TrainSettings, Trainer, quality};
+use octobayes_data::PosedImage;
+use octobayes_models::{HashGrid, HashGridConfig};
+use octobayes_train::{Budget, Quality, Run, Shot, TrainSettings, Trainer, quality};
 
 /// Training steps. The number is fixed, so the demo shows the same on every machine.
 const STEPS: u64 = 2000;

@@ -16,13 +16,13 @@ use super::progress::Bars;
 use super::streams::tell;
 use octobayes::estimate::RaySettings;
 use octobayes::io::AtomicFile;
-use octobayes::open::{is_of_splats, open_model};
 use octobayes::posterior::Covariance;
 use octobayes::render::RayAverage;
-use octobayes::splats::Splats;
 use octobayes::{Error, Result};
 use octobayes_evaluation::{Evaluation, Judged, Reading};
+use octobayes_models::{is_of_splats, open_model};
 use octobayes_session::{OpenedModel, image_settings};
+use octobayes_splats::Splats;
 
 /// Evaluate fields against true depth: AUSE beside measures that need no Hessian, depth error, PSNR, clean-up
 ///
@@ -168,7 +168,7 @@ impl Args {
         files.check()?;
         let (opened, settings, readings) = self.open()?;
         // Splats of an ensemble are drawn like the model.
-        let mode = opened.model.splats().map(Splats::mode);
+        let mode = Splats::of(&*opened.model).map(Splats::mode);
         let open = |name: &String| open_model(name, opened.coordinates, mode.filter(|_| is_of_splats(name)));
         let members = self.ensemble.iter().map(open);
         let members = members.collect::<Result<Vec<_>>>()?;

@@ -2,7 +2,7 @@
 
 use super::Args;
 use octobayes::Result;
-use octobayes::dataset::DepthKind;
+use octobayes_data::DepthKind;
 use octobayes_evaluation::metrics::{Calibration, Detection, PROBABILITIES};
 use octobayes_evaluation::{CONFIRMING_VIEWS, CleanUp, DepthError, Interval, Part, Report, Score, Scored};
 

@@ -8,8 +8,8 @@ use super::heading;
 use super::parse::{parse_fov, parse_resolution, parse_views};
 use crate::streams::tell;
 use octobayes::Result;
-use octobayes::dataset::{Part, Selection, Views, camera_file, passed_over};
 use octobayes::estimate::Model;
+use octobayes_data::{Part, Selection, Views, camera_file, passed_over};
 use octobayes_session::{CameraSource, Resolution, TrainingCameras};
 
 /// A camera file.

@@ -7,7 +7,7 @@ use clap::Args;
 use super::{heading, parse_pair};
 use crate::given::Given;
 use octobayes::Result;
-use octobayes::dataset::DepthKind;
+use octobayes_data::DepthKind;
 use octobayes_evaluation::DepthFiles;
 
 /// Names and values of depth maps. The folder is an option `depth` of the verb.

@@ -13,8 +13,9 @@ use crate::opened::open_field;
 use octobayes::estimate::{GridKind, GridSettings};
 use octobayes::geometry::{Aabb, Domain, Norm};
 use octobayes::posterior::{Covariance, Pooling};
-use octobayes::uncertainty::{OfficialGrid, UncertaintyField};
+use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
+use octobayes_data::OfficialGrid;
 use octobayes_session::{Choices, Purpose};
 
 /// The part of space that a field covers.

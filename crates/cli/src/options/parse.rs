@@ -5,9 +5,9 @@ use glam::{DVec3, Vec3};
 
 use super::numbers::MAX_KEPT_COUNT;
 use octobayes::choices::Choice;
-use octobayes::dataset::Selection;
 use octobayes::geometry::{Aabb, MAX_PIXELS, Norm};
 use octobayes::posterior::DataScale;
+use octobayes_data::Selection;
 use octobayes_session::Resolution;
 
 /// Largest coordinate, and other number of a list, that a command line may have: f32 positions are 64 apart there.

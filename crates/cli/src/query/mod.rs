@@ -15,13 +15,14 @@ use super::opened::open_field;
 use super::options::choice;
 use super::progress::Bars;
 use super::streams;
-use octobayes::dataset::PointReader;
 use octobayes::error::printable;
-use octobayes::io::{AtomicFile, npy, refuse_pipe};
+use octobayes::io::{AtomicFile, refuse_pipe};
 use octobayes::monitor::check;
 use octobayes::posterior::{Covariance, Scale};
 use octobayes::uncertainty::{Answer, Observability, UncertaintyField};
 use octobayes::{Error, Result};
+use octobayes_data::PointReader;
+use octobayes_data::npy;
 
 /// Points that are answered together. More are no faster, and this many with their answers take 30 MB.
 const BATCH: usize = 1 << 18;

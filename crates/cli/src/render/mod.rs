@@ -12,13 +12,13 @@ use super::options::{
 };
 use super::progress::Bars;
 use super::streams::tell;
-use octobayes::dataset::{Frame, Part};
 use octobayes::geometry::{Camera, MAX_PIXELS};
-use octobayes::io::write_exr;
 use octobayes::monitor::Monitor;
 use octobayes::render::{RayAverage, RenderedView};
 use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
+use octobayes_data::write_exr;
+use octobayes_data::{Frame, Part};
 use octobayes_evaluation::{Reading, TrainingViews};
 use octobayes_session::{OpenedModel, Threshold, image_settings, scaled};
 use octobayes_show::picture::{is_own_sheet, write_sheet};

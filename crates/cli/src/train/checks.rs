@@ -5,10 +5,10 @@ use glam::{DVec3, Vec3};
 use super::LOOK_PIXELS;
 use super::member::Member;
 use octobayes::estimate::Framing;
-use octobayes::field::HashGrid;
 use octobayes::geometry::{Aabb, Camera, Domain};
-use octobayes::train::{DatasetFiles, Quality, Shot, one_color};
 use octobayes::{Error, Result};
+use octobayes_models::HashGrid;
+use octobayes_train::{DatasetFiles, Quality, Shot, one_color};
 
 /// A model has learnt nothing if it is less than this many dB better than one colour for all images. At 1 dB a
 /// fifth of the squared error is gone.

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::Args;
-use octobayes::field::HashGridConfig;
 use octobayes::geometry::Domain;
-use octobayes::train::{Budget, DatasetFiles, Description, Shot, StateFile, TrainSettings};
 use octobayes::{Error, Result};
+use octobayes_models::HashGridConfig;
+use octobayes_train::{Budget, DatasetFiles, Description, Shot, StateFile, TrainSettings};
 
 /// One model to train.
 pub(super) struct Member {

@@ -19,18 +19,19 @@ use super::options::{
     parse_views,
 };
 use super::progress::Bars;
-use octobayes::dataset::passed_over;
 use octobayes::error::printable;
-use octobayes::field::{HashGrid, HashGridConfig, TrainedField};
+use octobayes::field::TrainedField;
 use octobayes::geometry::{Aabb, Domain, Norm};
 use octobayes::monitor::Monitor;
 use octobayes::posterior::DataScale;
-use octobayes::train::{
+use octobayes::{Error, Result};
+use octobayes_data::passed_over;
+use octobayes_models::{HashGrid, HashGridConfig};
+use octobayes_session::Resolution;
+use octobayes_train::{
     Background, Budget, DatasetFiles, Finished, Quality, Run, Selection, Shot, TrainSettings, Trainer, Training,
     quality, quality_within,
 };
-use octobayes::{Error, Result};
-use octobayes_session::Resolution;
 
 /// Pixels of held-out images that are compared during training.
 const LOOK_PIXELS: usize = 20_000;

@@ -12,16 +12,16 @@ use super::{Args, LOOK_PIXELS};
 use crate::files::CommandFiles;
 use crate::given::Given;
 use crate::progress::Bars;
-use octobayes::dataset::{image_path, inria_text, transforms_text};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::io::AtomicFile;
 use octobayes::io::place::folder_of;
-use octobayes::train::{
+use octobayes::{Error, Result};
+use octobayes_data::{image_path, inria_text, transforms_text};
+use octobayes_session::scaled;
+use octobayes_train::{
     Budget, DatasetFiles, Finished, Quality, Run, Shot, SplatOrigin, SplatSettings, SplatTrainer, StateFile, Training,
     box_of_points,
 };
-use octobayes::{Error, Result};
-use octobayes_session::scaled;
 
 /// Pixels of images that are compared during training. An image of splats is drawn in a few milliseconds.
 const LOOK: usize = 20 * LOOK_PIXELS;

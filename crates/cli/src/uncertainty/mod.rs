@@ -17,15 +17,16 @@ use super::report;
 use super::streams::tell;
 use octobayes::Result;
 use octobayes::choices::Choice;
-use octobayes::dataset::Part;
 use octobayes::estimate::{Checkpoint, Feature, Goal, GridSettings, RaySettings};
 use octobayes::io::place::folder_of;
 use octobayes::posterior::Criterion;
-use octobayes::rays::{Pixels, SamplesReader};
+use octobayes::rays::Pixels;
 use octobayes::render::{GradientMethod, Occupancy};
-use octobayes::splats::RenderMode;
+use octobayes_data::Part;
+use octobayes_data::SamplesReader;
 use octobayes_evaluation::TrainingImages;
 use octobayes_session::{Needs, OpenedModel, Session, given_up};
+use octobayes_splats::RenderMode;
 
 /// Compute the uncertainty of a trained field from its training cameras
 ///

@@ -9,8 +9,8 @@ use crate::options::check_field_name;
 use crate::progress::Bars;
 use crate::report;
 use crate::streams::tell;
-use octobayes::rays::SamplesReader;
 use octobayes::{Error, Result};
+use octobayes_data::SamplesReader;
 use octobayes_session::{Accumulation, TrainingPixels};
 
 /// The options that samples leave open; all others are about a model and its rays.

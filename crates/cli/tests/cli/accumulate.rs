@@ -7,9 +7,10 @@ use octobayes::estimate::{FieldBuilder, FieldSource, GridKind, GridSettings};
 use octobayes::geometry::{Aabb, Domain};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Information, trace};
-use octobayes::rays::{RunProgress, SamplesReader};
+use octobayes::rays::RunProgress;
 use octobayes::render::RaySamples;
 use octobayes::uncertainty::{Support, UncertaintyField};
+use octobayes_data::SamplesReader;
 
 /// `tests/numpy/write_samples.py` wrote the samples, `brute_force.py` the expected sums.
 #[test]

@@ -8,6 +8,7 @@ use crate::arrays::npy;
 use crate::program::Desk;
 use glam::Vec3;
 use octobayes::field::{ClosedForm, VoxelGrid};
+use octobayes_models::write_voxel_grid;
 
 /// Shape of a `.npy` file, and its elements as 64-bit floats; by no code of the program.
 pub fn read_npy(path: &Path) -> (Vec<u64>, Vec<f64>) {
@@ -220,7 +221,7 @@ fn pictures_and_official_grids_are_written() {
 fn pictures_are_previews_with_the_cameras_aspect_ratio_unless_told_otherwise() {
     let desk = with_field();
     let camera = ClosedForm::half_circle(1, [10, 1600])[0];
-    octobayes::dataset::write_transforms(&desk.join("portrait.json"), &[("a".into(), camera)]).unwrap();
+    octobayes_data::write_transforms(&desk.join("portrait.json"), &[("a".into(), camera)]).unwrap();
     for (args, expected) in
         [("", [5, 800]), ("--resize 1", [10, 1600]), ("--scale 0.1", [1, 160]), ("--resolution 2", [2, 320])]
     {
@@ -279,7 +280,7 @@ fn shells_and_man_know_every_verb() {
 #[test]
 fn derivatives_and_the_number_of_rays_can_be_chosen() {
     let desk = Desk::new(4, 32);
-    VoxelGrid::bake(&ClosedForm::ball(), [25; 3], Vec3::Z).write(&desk.join("ball.npz")).unwrap();
+    write_voxel_grid(&VoxelGrid::bake(&ClosedForm::ball(), [25; 3], Vec3::Z), &desk.join("ball.npz")).unwrap();
     let base = "uncertainty ball.npz --cameras cameras.json --level 4 --cutoff 1e-6";
     // Differences over a step that is small beside a voxel are the slope itself.
     desk.good(&format!("{base} --rays 4000 --gradient auto -o exact.oct"));

@@ -5,11 +5,11 @@ use std::path::Path;
 
 use crate::program::{Desk, cameras};
 use glam::{DVec3, Vec3};
-use octobayes::dataset::{Frame, MaskFile};
 use octobayes::field::{ClosedForm, RadianceField};
 use octobayes::geometry::{Camera, inverted, opencv};
 use octobayes::monitor::Silent;
 use octobayes::render::{Marcher, Tracer, VolumeRenderer, render_view};
+use octobayes_data::{Frame, MaskFile};
 use octobayes_evaluation::{ImageCheck, check_images};
 
 const RUN: &str = "uncertainty scene:courtyard --cameras cameras.json --level 4 --rays 1000 --occupancy 32 -o x.oct";

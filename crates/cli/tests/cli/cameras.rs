@@ -2,10 +2,11 @@
 //! files that do not belong together are refused.
 
 use crate::program::{Desk, OCTAHEDRON};
-use octobayes::dataset::Views;
-use octobayes::field::{HashGrid, TrainedField};
+use octobayes::field::TrainedField;
 use octobayes::geometry::Domain;
 use octobayes::uncertainty::UncertaintyField;
+use octobayes_data::Views;
+use octobayes_models::HashGrid;
 
 const SMALL: &str = "--samples-per-step 4096 --log2-hashmap-size 12";
 const RUN: &str = "--level 4 --rays 1000 --gradient auto --occupancy 16 --keep-sums";

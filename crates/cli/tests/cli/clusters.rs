@@ -9,9 +9,10 @@ use std::process::{Command, Output};
 
 use crate::program::cameras;
 use glam::Vec3;
-use octobayes::dataset::write_transforms;
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::uncertainty::{UncertaintyField, compare};
+use octobayes_data::write_transforms;
+use octobayes_models::write_voxel_grid;
 use serde_json::Value;
 
 /// What follows `octobayes uncertainty`. A shell would change these names.
@@ -58,7 +59,7 @@ impl Cluster {
             std::fs::set_permissions(bin.join(name), std::fs::Permissions::from_mode(0o755)).unwrap();
         }
         write_transforms(&folder.join(RUN[2]), &cameras(4, [32; 2])).unwrap();
-        VoxelGrid::bake(&ClosedForm::courtyard(), [33; 3], Vec3::Z).write(&folder.join(RUN[0])).unwrap();
+        write_voxel_grid(&VoxelGrid::bake(&ClosedForm::courtyard(), [33; 3], Vec3::Z), &folder.join(RUN[0])).unwrap();
         Self { _root: root, folder, bin }
     }
 

@@ -6,11 +6,11 @@ use crate::program::Desk;
 use exr::image::IntoSample;
 use exr::prelude::{Image, SpecificChannels, Vec2, WritableImage, f16};
 use glam::{DVec3, Vec3};
-use octobayes::dataset::write_transforms;
 use octobayes::field::{ClosedForm, RadianceField};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
 use octobayes::render::{Marcher, Tracer, render_view};
+use octobayes_data::write_transforms;
 use serde_json::Value;
 
 const SIDE: u32 = 32;

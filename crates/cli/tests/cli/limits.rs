@@ -10,7 +10,8 @@ use crate::program::{command, outcome};
 use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::ClosedForm;
 use octobayes::posterior::{Covariance, Criteria, Criterion, Pooling};
-use octobayes::uncertainty::{OfficialGrid, Support, UncertaintyField, compare, merge};
+use octobayes::uncertainty::{Support, UncertaintyField, compare, merge};
+use octobayes_data::OfficialGrid;
 
 const RUN: &str = "uncertainty scene:courtyard --resolution 64 --rays 10000 --occupancy 40";
 

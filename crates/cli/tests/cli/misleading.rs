@@ -5,8 +5,8 @@ use std::path::Path;
 use crate::npz::NpzWriter;
 use crate::program::{Desk, cameras};
 use glam::{DVec3, Vec3};
-use octobayes::dataset::write_transforms;
 use octobayes::geometry::Camera;
+use octobayes_data::write_transforms;
 use octobayes_show::picture::{color_panel, draw_sheet};
 
 /// A voxel grid over a cube of edge 2 around (offset, offset, offset), whose density is a function of the position in

@@ -1,8 +1,8 @@
 //! Rankings of views from file to file: of a volume and of splats, and what is refused.
 
 use glam::DVec3;
-use octobayes::dataset::{Views, write_transforms};
 use octobayes::geometry::{Camera, opencv};
+use octobayes_data::{Views, write_transforms};
 use serde_json::Value;
 
 use crate::program::Desk;
@@ -161,7 +161,7 @@ fn candidates_with_the_axes_of_opencv_are_told() {
 fn a_camera_path_serves_as_candidates() {
     let desk = with_splats();
     let frames = Views::read(&desk.join("transforms.json"), None).unwrap().frames;
-    let camera = |frame: &octobayes::dataset::Frame| {
+    let camera = |frame: &octobayes_data::Frame| {
         let Camera { position, axes, focal, resolution, .. } = frame.camera;
         let row = |k: usize| [axes.x_axis[k], axes.y_axis[k], axes.z_axis[k], position[k]];
         let pose: Vec<f64> = [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]].concat();

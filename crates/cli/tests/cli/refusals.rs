@@ -1,8 +1,8 @@
 //! The program refuses input that would give a wrong result without a sign: exit code 2, one line with the place, what
 //! it expected and what it found, nothing on stdout, no file left or changed. Readers have tests of their own.
 
-use octobayes::dataset::write_transforms;
 use octobayes::geometry::opencv;
+use octobayes_data::write_transforms;
 
 use crate::arrays::npy;
 use crate::npz::NpzWriter;

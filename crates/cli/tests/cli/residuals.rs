@@ -1,11 +1,11 @@
 //! `uncertainty --images`, from the command line.
 
 use crate::program::Desk;
-use octobayes::dataset::Views;
 use octobayes::field::{ClosedForm, RadianceField, TrainedField};
 use octobayes::monitor::Silent;
 use octobayes::render::{Marcher, Tracer, render_view};
 use octobayes::uncertainty::{Conformal, Residuals};
+use octobayes_data::Views;
 
 const SIDE: u32 = 48;
 /// What the images are off by in one channel, of 255.

@@ -3,12 +3,12 @@
 use std::path::Path;
 
 use glam::{DVec3, Quat, Vec3};
-use octobayes::dataset::{Views, write_transforms};
 use octobayes::geometry::{Camera, opencv};
 use octobayes::monitor::Silent;
 use octobayes::render::Renderer;
-use octobayes::splats::{RenderMode, SplatRenderer, Splats};
 use octobayes::uncertainty::compare;
+use octobayes_data::{Views, write_transforms};
+use octobayes_splats::{RenderMode, SplatRenderer, Splats};
 use serde_json::Value;
 
 use crate::program::Desk;

@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use crate::program::Desk;
 use glam::DVec3;
-use octobayes::dataset::Hemisphere;
-use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PosedImage, Views};
 use octobayes::geometry::Ray;
 use octobayes::monitor::Silent;
+use octobayes_data::Hemisphere;
+use octobayes_data::{DepthEncoding, DepthKind, DepthMap, PosedImage, Views};
 use octobayes_synth::{
     DEPTH_PNG_SCALE, DatasetSettings, GROUND_RADIUS, HALF_HEIGHT, Mesh, MeshScene, RADIUS, Up, write_dataset,
 };

@@ -10,12 +10,13 @@ use std::process::Stdio;
 use crate::interrupt::send;
 use crate::program::{Desk, cameras};
 use glam::{DVec3, Vec3};
-use octobayes::dataset::{Frame, Views, write_transforms};
 use octobayes::estimate::RaySettings;
-use octobayes::field::{ClosedForm, HashGrid, RadianceField, TrainedField};
+use octobayes::field::{ClosedForm, RadianceField, TrainedField};
 use octobayes::monitor::Silent;
 use octobayes::render::render_view;
-use octobayes::splats::Splats;
+use octobayes_data::{Frame, Views, write_transforms};
+use octobayes_models::HashGrid;
+use octobayes_splats::Splats;
 use serde_json::Value;
 
 const SMALL: &str = "--background black --box=-1,-1,-1,1,1,1 --log2-hashmap-size 12 --samples-per-step 4096";

@@ -8,6 +8,7 @@ use std::process::Command;
 use crate::program::{Desk, TETRAHEDRON};
 use glam::Vec3;
 use octobayes::field::{ClosedForm, VoxelGrid};
+use octobayes_models::write_voxel_grid;
 
 const RUN: &str =
     "uncertainty model.npz --cameras cameras.json --level 4 --rays 600 --occupancy 16 --keep-sums --force";
@@ -25,7 +26,7 @@ fn desk() -> Desk {
         let depth = image::GrayImage::from_fn(16, 16, |x, y| image::Luma([(60 + 7 * x + 3 * y) as u8]));
         depth.save(desk.join(format!("r_{i}_depth_0001.png"))).unwrap();
     }
-    VoxelGrid::bake(&ClosedForm::ball(), [9; 3], Vec3::Z).write(&desk.join("model.npz")).unwrap();
+    write_voxel_grid(&VoxelGrid::bake(&ClosedForm::ball(), [9; 3], Vec3::Z), &desk.join("model.npz")).unwrap();
     desk.write("points.csv", "0,0,0\n");
     desk.write("mesh.obj", TETRAHEDRON);
     desk.good(&format!("{RUN} -o field.oct --dump-samples samples.npz"));

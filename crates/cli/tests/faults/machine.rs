@@ -11,8 +11,8 @@ use std::time::Duration;
 
 use crate::interrupt::{send, wait_for};
 use crate::program::{Desk, cameras, run};
-use octobayes::dataset::write_transforms;
 use octobayes::uncertainty::UncertaintyField;
+use octobayes_data::write_transforms;
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 

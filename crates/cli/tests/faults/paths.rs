@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::program::{Desk, TETRAHEDRON, cameras};
-use octobayes::dataset::write_transforms;
+use octobayes_data::write_transforms;
 
 /// A word with each `@` replaced by a byte that begins no character.
 fn odd(word: &str) -> OsString {

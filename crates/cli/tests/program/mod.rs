@@ -8,10 +8,10 @@ use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use octobayes::dataset::write_transforms;
 use octobayes::field::ClosedForm;
 use octobayes::geometry::Camera;
 use octobayes::uncertainty::UncertaintyField;
+use octobayes_data::write_transforms;
 
 /// The program with these words, in a folder.
 pub fn command(folder: &Path, args: &str) -> Command {

@@ -3,16 +3,20 @@
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
-use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PointReader, PosedImage, Views, scene_points};
 use octobayes::estimate::{Checkpoint, FieldBuilder, FieldSource, GridSettings, SURFACE_POINTS};
-use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, TrainedField, VoxelGrid};
+use octobayes::field::{Intrinsics, Radiance, TrainedField};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::posterior::Covariance;
-use octobayes::rays::{RunProgress, SamplesReader};
-use octobayes::splats::Splats;
-use octobayes::uncertainty::{Merging, OfficialGrid, UncertaintyField, merge};
+use octobayes::rays::RunProgress;
+use octobayes::uncertainty::{Merging, UncertaintyField, merge};
 use octobayes::{Error, Result};
+use octobayes_data::OfficialGrid;
+use octobayes_data::SamplesReader;
+use octobayes_data::{DepthEncoding, DepthKind, DepthMap, PointReader, PosedImage, Views, scene_points};
+use octobayes_models::read_voxel_grid;
+use octobayes_models::{Coordinates, NerfMlp, Ppng};
+use octobayes_splats::Splats;
 use octobayes_synth::{Mesh, MeshScene, Up};
 
 use super::{Kind, forge, samples};
@@ -38,7 +42,7 @@ pub fn open(kind: Kind, path: &Path) -> bool {
         Kind::Ppng => Ppng::read(path, Coordinates::Ngp).is_ok(),
         Kind::Transforms => Views::read(path, None).is_ok(),
         Kind::Samples => SamplesReader::open(path).is_ok(),
-        Kind::Voxels => VoxelGrid::read(path).is_ok(),
+        Kind::Voxels => read_voxel_grid(path).is_ok(),
         Kind::Points => points(path).is_ok(),
         Kind::Official => official(path).is_ok(),
         Kind::Safetensors | Kind::Torch => NerfMlp::read(path).is_ok(),
@@ -128,7 +132,7 @@ pub fn read(kind: Kind, path: &Path) -> Result<()> {
         Kind::Ppng => Coordinates::ALL.iter().try_for_each(|&c| Ppng::read(path, c).map(|m| model_is_sound(&m))),
         Kind::Transforms => Views::read(path, None).map(|views| cameras_are_sound(&views.cameras())),
         Kind::Samples => samples_are_sound(path),
-        Kind::Voxels => VoxelGrid::read(path).map(|grid| model_is_sound(&grid)),
+        Kind::Voxels => read_voxel_grid(path).map(|grid| model_is_sound(&grid)),
         Kind::Points => points(path).map(|points| assert!(points.iter().all(|x| x.is_finite()))),
         Kind::Official => official(path).map(|field| field_is_sound(&field, path)),
         Kind::Safetensors | Kind::Torch => NerfMlp::read(path).map(|mlp| model_is_sound(&mlp)),
@@ -182,7 +186,7 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
         let _ = Merging::default().error_bars(true).join(&[field.clone(), field.clone()]);
         // Level 5 of the official grid has 36,000 entries; level 9 takes a gigabyte.
         if field.lattice().level() <= 5 {
-            let _ = field.write_official(&path.with_extension("again.npy"));
+            let _ = octobayes_data::write_official(field, &path.with_extension("again.npy"));
         }
         let again = path.with_extension("again.oct");
         field.write(&again).unwrap();

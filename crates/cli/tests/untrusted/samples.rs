@@ -7,16 +7,18 @@ use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer,
 use glam::{DVec3, Vec3};
 use half::f16;
 use minicbor::Encoder;
-use octobayes::dataset::write_transforms;
 use octobayes::estimate::{Estimation, FieldBuilder, FieldSource, GridKind, GridSettings, RaySettings, RunKey};
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain, Norm};
 use octobayes::posterior::{
     Covariance, Criteria, Criterion, DataScale, DensePosterior, OctreePosterior, Pooling, Posterior, Scale,
 };
-use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
+use octobayes::rays::{Pixels, RunProgress, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::{ColorSums, ResidualSums, Support, UncertaintyField};
+use octobayes_data::SamplesWriter;
+use octobayes_data::write_transforms;
+use octobayes_models::write_voxel_grid;
 use safetensors::tensor::{Dtype, TensorView};
 
 use super::arrays::npy;
@@ -31,7 +33,7 @@ pub fn of(kind: Kind) -> Vec<Vec<u8>> {
         Kind::Transforms => transforms(),
         Kind::Samples => vec![samples(), few_samples()],
         Kind::Voxels => vec![written("v.npz", |path| {
-            VoxelGrid::bake(&ClosedForm::ball(), [2, 3, 2], Vec3::Z).write(path).unwrap();
+            write_voxel_grid(&VoxelGrid::bake(&ClosedForm::ball(), [2, 3, 2], Vec3::Z), path).unwrap();
         })],
         Kind::Points => vec![
             npy(&[3, 3], (0..9).map(|i| i as f32 / 9.0)),

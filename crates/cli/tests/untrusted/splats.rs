@@ -1,7 +1,7 @@
 //! Small files of Gaussian splats, byte by byte.
 
 use octobayes::glam::{Quat, Vec3};
-use octobayes::splats::{RenderMode, Splats};
+use octobayes_splats::{RenderMode, Splats};
 
 /// A file of every format that is known by its content.
 pub fn files() -> Vec<Vec<u8>> {

@@ -7,8 +7,8 @@ use octobayes::estimate::GridKind;
 use octobayes::estimate::Model;
 use octobayes::geometry::Domain;
 use octobayes::posterior::{DataScale, Scale};
-use octobayes::splats::reference::{Gaussian, Shown, gaussians, shown};
-use octobayes::splats::{RenderMode, SplatRenderer, Splats};
+use octobayes_splats::reference::{Gaussian, Shown, gaussians, shown};
+use octobayes_splats::{RenderMode, SplatRenderer, Splats};
 
 const LEVEL: u8 = 3;
 const STRIDE: u32 = 3;

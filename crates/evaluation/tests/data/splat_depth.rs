@@ -1,16 +1,16 @@
 //! Splats of lego, trained on 100, 12 and 10 views: what √(gᵀCg) is worth for the depth of new views.
 
 use glam::{DMat3, DVec3, Vec3};
-use octobayes::dataset::{DepthEncoding, DepthKind, Frame, Views};
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{DepthSample, DepthVariance, RaySamples, Renderer};
-use octobayes::splats::{SplatRenderer, Splats};
+use octobayes_data::{DepthEncoding, DepthKind, Frame, Views};
 use octobayes_evaluation::metrics::{ErrorKind, sparsification, spearman};
 use octobayes_evaluation::{DepthMeaning, TrueView};
+use octobayes_splats::{SplatRenderer, Splats};
 use std::collections::HashMap;
 
 use super::data;

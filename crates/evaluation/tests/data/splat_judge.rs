@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use octobayes::dataset::{Selection, Views};
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
-use octobayes::splats::Splats;
+use octobayes_data::{Selection, Views};
 use octobayes_evaluation::{Evaluation, Reading, Report};
+use octobayes_splats::Splats;
 
 use super::data;
 

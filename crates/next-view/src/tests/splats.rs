@@ -8,7 +8,7 @@ use super::*;
 use octobayes::estimate::Model;
 use octobayes::geometry::{Aabb, Distortion};
 use octobayes::render::ImagePoints;
-use octobayes::splats::{RenderMode, SplatRenderer, Splats};
+use octobayes_splats::{RenderMode, SplatRenderer, Splats};
 
 /// A ball of splats whose colours depend on the direction.
 fn ball() -> Splats {

@@ -6,8 +6,8 @@ use glam::Vec3;
 
 use super::cells::{at_centers, center, edges, in_chunks, knows, leaves};
 use octobayes::Result;
-use octobayes::io::npz::NpzWriter;
 use octobayes::uncertainty::{Answer, Matrices, Observability, Support, UncertaintyField};
+use octobayes_data::npz::NpzWriter;
 
 /// Writes one row per leaf, in Morton order. The arrays are those of the book's chapter on `export`; `rays` and `seen`
 /// are there if the field stores them, `covariance` if its matrices are given.

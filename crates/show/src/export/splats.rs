@@ -11,8 +11,8 @@ use octobayes::geometry::Camera;
 use octobayes::monitor::{Monitor, check};
 use octobayes::posterior::Scale;
 use octobayes::render::Outputs;
-use octobayes::splats::{Hits, SplatRenderer, Splats};
 use octobayes::uncertainty::{BakedField, UncertaintyField, is_certain};
+use octobayes_splats::{Hits, SplatRenderer, Splats};
 
 /// A view counts if a splat's share of one of its pixels exceeds this.
 const MIN_SHARE: f64 = 0.05;
@@ -96,7 +96,7 @@ pub fn write_splats(
     threshold: Option<f64>,
 ) -> Result<usize> {
     let kept = match threshold {
-        Some(threshold) => is_certain(splats, &BakedField::unbaked(field), threshold),
+        Some(threshold) => is_certain(splats.means(), &BakedField::unbaked(field), threshold),
         None => vec![true; splats.len()],
     };
     let left = threshold.map(|_| splats.clone().keep(&kept)).transpose()?;

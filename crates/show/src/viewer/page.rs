@@ -6,12 +6,12 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 
-use octobayes::dataset::Frame;
 use octobayes::geometry::{Aabb, Camera, Distortion, Domain, upright};
 use octobayes::io::AtomicFile;
 use octobayes::posterior::Scale;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
+use octobayes_data::Frame;
 
 const PAGE: &str = include_str!("web/page.html");
 const STYLE: &str = include_str!("web/style.css");

@@ -12,9 +12,9 @@ use super::pack::text;
 use super::page::{Page, Parts, write};
 use crate::export::SeenSplats;
 use octobayes::geometry::Aabb;
-use octobayes::splats::{FAINTEST, FRUSTUM_MARGIN, MIN_TRANSMITTANCE, MOST_OPAQUE, NEAR, Splats};
 use octobayes::uncertainty::Observability;
 use octobayes::{Error, Result};
+use octobayes_splats::{FAINTEST, FRUSTUM_MARGIN, MIN_TRANSMITTANCE, MOST_OPAQUE, NEAR, Splats};
 
 const SCRIPTS: [&str; 2] = [include_str!("web/splats.js"), include_str!("web/splats-renderer.js")];
 const SHADERS: [(&str, &str); 3] = [
@@ -257,7 +257,7 @@ mod tests {
     use octobayes::estimate::{Estimation, GridSettings, RaySettings};
     use octobayes::geometry::Camera;
     use octobayes::monitor::Silent;
-    use octobayes::splats::{RenderMode, SplatRenderer};
+    use octobayes_splats::{RenderMode, SplatRenderer};
 
     /// Numbers from 0 to 1 without a pattern.
     fn noise(i: usize, k: usize) -> f32 {

@@ -162,10 +162,10 @@ fn about(view: &VolumeView, grid: &Grid, pages: &Pages, codes: Codes, cells: u32
 mod tests {
     use super::*;
     use crate::viewer::page::tests::check;
-    use octobayes::dataset::Frame;
     use octobayes::estimate::{Estimation, GridSettings, RaySettings};
     use octobayes::field::ClosedForm;
     use octobayes::monitor::Silent;
+    use octobayes_data::Frame;
 
     /// Writes the viewer of a ball.
     fn written(cells: u32, budget: usize, title: &str) -> Result<(ShownVolume, String)> {

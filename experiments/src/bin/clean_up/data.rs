@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use octobayes::dataset::{Frame, Views};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
-use octobayes::train::{DatasetFiles, Shot};
 use octobayes::{Error, Result};
+use octobayes_data::{Frame, Views};
 use octobayes_synth::{DatasetSettings, Up, write_dataset};
+use octobayes_train::{DatasetFiles, Shot};
 
 use crate::scene::Scene;
 use common::kitchen::kitchen;

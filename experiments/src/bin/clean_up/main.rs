@@ -13,9 +13,9 @@ mod scene;
 mod table;
 
 use octobayes::Result;
-use octobayes::dataset::Hemisphere;
-use octobayes::train::Selection;
+use octobayes_data::Hemisphere;
 use octobayes_synth::Up;
+use octobayes_train::Selection;
 
 use common::program::{Needs, Program};
 use common::work::Work;

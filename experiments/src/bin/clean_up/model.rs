@@ -2,10 +2,11 @@
 
 use glam::Vec3;
 use octobayes::Result;
-use octobayes::field::{HashGrid, HashGridConfig, NerfMlp, TrainedField, VoxelGrid};
+use octobayes::field::{TrainedField, VoxelGrid};
 use octobayes::geometry::Domain;
 use octobayes::monitor::Silent;
-use octobayes::train::{Budget, Run, TrainSettings, Trainer};
+use octobayes_models::{HashGrid, HashGridConfig, NerfMlp};
+use octobayes_train::{Budget, Run, TrainSettings, Trainer};
 
 use crate::data::Dataset;
 use common::program::Program;

@@ -3,15 +3,15 @@
 use std::path::Path;
 
 use glam::DVec3;
-use octobayes::dataset::Hemisphere;
 use octobayes::estimate::{Estimation, GridSettings, Model, RaySettings};
 use octobayes::monitor::Silent;
 use octobayes::render::{GradientMethod, RenderedView};
-use octobayes::train::Selection;
 use octobayes::uncertainty::BakedField;
 use octobayes::{Error, Result};
+use octobayes_data::Hemisphere;
 use octobayes_evaluation::{CleanUp, THRESHOLDS, TrueView, clean_up};
 use octobayes_show::picture::{Panel, color_panel, write_sheet};
+use octobayes_train::Selection;
 use serde::{Deserialize, Serialize};
 
 use crate::data::{Data, Dataset, SIDE};

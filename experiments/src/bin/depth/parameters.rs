@@ -13,12 +13,12 @@ use std::ops::Range;
 use faer::linalg::solvers::Llt;
 use faer::{Mat, Side};
 use glam::Vec3;
-use octobayes::field::HashGrid;
 use octobayes::geometry::Camera;
 use octobayes::rays::{PixelSequence, Pixels};
-use octobayes::train::{PixelGradient, PixelGradients};
 use octobayes::{Error, Result};
 use octobayes_evaluation::{EvaluatedView, TrueView};
+use octobayes_models::HashGrid;
+use octobayes_train::{PixelGradient, PixelGradients};
 use rayon::prelude::*;
 
 use common::fisher::{COLOR, Diagonal, LAMBDA};

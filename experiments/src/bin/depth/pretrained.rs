@@ -6,9 +6,9 @@ use octobayes::field::{TrainedField, VoxelGrid};
 use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
 use octobayes::render::{Tracer, render_view};
-use octobayes::train::Selection;
 use octobayes::{Error, Result};
 use octobayes_evaluation::TrueView;
+use octobayes_train::Selection;
 
 use crate::compared;
 use crate::judge::{self, Row, grid, judge, uncertainties};

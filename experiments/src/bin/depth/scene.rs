@@ -3,14 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3, Vec3};
-use octobayes::dataset::{DepthKind, DepthReadings, Frame, Views};
-use octobayes::field::HashGrid;
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
-use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, quality};
 use octobayes::{Error, Result};
+use octobayes_data::{DepthKind, DepthReadings, Frame, Views};
 use octobayes_evaluation::{DepthFiles, DepthMeaning, TrueView};
+use octobayes_models::HashGrid;
 use octobayes_synth::{DEPTH_PNG_SCALE, DatasetSettings, Mesh, MeshScene, Up, write_dataset};
+use octobayes_train::{DatasetFiles, Selection, Shot, TrainSettings, quality};
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 use serde::Serialize;

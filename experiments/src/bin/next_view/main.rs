@@ -12,13 +12,14 @@ use std::cell::OnceCell;
 use glam::{DVec3, Vec3};
 use octobayes::Result;
 use octobayes::estimate::RaySettings;
-use octobayes::field::{HashGrid, TrainedField};
+use octobayes::field::TrainedField;
 use octobayes::geometry::{Camera, Domain};
 use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
 use octobayes::render::{Renderer, VolumeRenderer};
-use octobayes::train::{Shot, TrainSettings, quality};
 use octobayes_evaluation::metrics::ssim;
+use octobayes_models::HashGrid;
+use octobayes_train::{Shot, TrainSettings, quality};
 use serde::{Deserialize, Serialize};
 
 use common::program::{Needs, Program};

@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use glam::DVec3;
-use octobayes::dataset::{DepthKind, PosedImage, Views};
 use octobayes::geometry::{Aabb, Camera};
 use octobayes::monitor::Silent;
-use octobayes::train::{DatasetFiles, Shot};
 use octobayes::{Error, Result};
+use octobayes_data::{DepthKind, PosedImage, Views};
 use octobayes_evaluation::{DepthFiles, DepthMeaning, TrueView};
 use octobayes_synth::{LitScene, Mesh, MeshScene, Up, viewpoints};
+use octobayes_train::{DatasetFiles, Shot};
 use rayon::prelude::*;
 
 use crate::cup::cup;

@@ -3,14 +3,15 @@
 use glam::Vec3;
 use octobayes::Result;
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-use octobayes::field::{HashGrid, TrainedField};
+use octobayes::field::TrainedField;
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{DataScale, Information, Scale};
 use octobayes::rays::{PixelSequence, Pixels};
 use octobayes::render::{Renderer, VolumeRenderer};
-use octobayes::train::{PixelGradient, PixelGradients};
+use octobayes_models::HashGrid;
 use octobayes_next_view::{Gain, NextView, Settings, log_det};
+use octobayes_train::{PixelGradient, PixelGradients};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;

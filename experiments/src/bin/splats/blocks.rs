@@ -4,7 +4,7 @@
 use glam::{DMat3, DVec3, Vec3};
 use octobayes::posterior::{DataScale, Information};
 use octobayes::render::{DepthSample, DepthVariance, Probed, ProbedField, RaySamples};
-use octobayes::splats::Splats;
+use octobayes_splats::Splats;
 use rustc_hash::FxHashMap;
 
 use common::fisher::LAMBDA;

@@ -3,15 +3,15 @@
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
-use octobayes::dataset::{Frame, Views};
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{Outputs, Probe, RayAverage, RenderedView, Renderer};
-use octobayes::splats::{Hits, SplatRenderer, Splats};
 use octobayes::{Error, Result};
+use octobayes_data::{Frame, Views};
 use octobayes_evaluation::{DepthMeaning, EvaluatedView, Evaluator, Reading, Score, TrainingViews, TrueView};
+use octobayes_splats::{Hits, SplatRenderer, Splats};
 use serde::{Deserialize, Serialize};
 
 use crate::blocks::{Blocks, Sums};

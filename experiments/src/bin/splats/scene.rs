@@ -1,8 +1,8 @@
 //! Meshes, and which cameras look at them.
 
 use glam::DVec3;
-use octobayes::dataset::Hemisphere;
 use octobayes::{Error, Result};
+use octobayes_data::Hemisphere;
 use octobayes_synth::{Mesh, MeshScene, Up};
 
 use common::program::Program;

@@ -8,9 +8,9 @@ use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::rays::Pixels;
 use octobayes::render::{DepthSample, DepthVariance};
-use octobayes::splats::{SplatRenderer, Splats};
 use octobayes::uncertainty::DepthPosterior;
 use octobayes_show::export::SeenSplats;
+use octobayes_splats::{SplatRenderer, Splats};
 use rayon::prelude::*;
 
 use crate::blocks::{Blocks, Sums, trace};

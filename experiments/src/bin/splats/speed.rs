@@ -9,7 +9,7 @@ use octobayes::glam::Vec3;
 use octobayes::monitor::Silent;
 use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::Outputs;
-use octobayes::splats::{Hits, SplatRenderer};
+use octobayes_splats::{Hits, SplatRenderer};
 
 use common::ball::{ball, cameras};
 use common::clock::{Clock, Time};

@@ -5,9 +5,9 @@ use glam::DVec3;
 use octobayes::Result;
 use octobayes::monitor::Silent;
 use octobayes::posterior::DataScale;
-use octobayes::train::{DatasetFiles, SplatSettings, SplatTrainer, Training};
 use octobayes_evaluation::metrics::{Detection, spearman};
 use octobayes_synth::{DatasetSettings, write_dataset};
+use octobayes_train::{DatasetFiles, SplatSettings, SplatTrainer, Training};
 use serde::{Deserialize, Serialize};
 
 use crate::scene::{self, MESHES, SIDES};

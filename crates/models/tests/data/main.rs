@@ -1,0 +1,12 @@
+//! Pre-trained models, which the repository does not ship: `OCTOBAYES_DATA` names their folder.
+
+mod models;
+mod sight;
+mod tolerance;
+
+use std::path::PathBuf;
+
+fn data(path: &str) -> PathBuf {
+    let root = std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA must name the folder of the data");
+    PathBuf::from(root).join(path)
+}
