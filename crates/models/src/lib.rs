@@ -1,4 +1,4 @@
-//! Trained volumes of other programs, and [`open`], which opens any model by its name.
+//! Trained volumes of other programs, and [`open()`], which opens any model by its name.
 //!
 //! Each kind is a [`TrainedField`](octobayes::field::TrainedField):
 //! - [`HashGrid`]: a multiresolution hash grid with two tiny networks, as `octobayes train` fits it (instant-ngp's
