@@ -8,8 +8,8 @@ use crate::io::evenly;
 pub(super) const RAYS: usize = 4096;
 /// Maximal number of cameras used, evenly spread over all.
 const CAMERAS: usize = 512;
-/// Fractions of rays below this are small. `crates/models/tests/data/sight.rs` has values for correct and wrong settings of
-/// real models.
+/// Fractions of rays below this are small. `crates/models/tests/data/sight_on_data.rs` has values for correct and wrong
+/// settings of real models.
 pub(super) const SMALL_SHARE: f64 = 0.05;
 /// Fractions of cameras from this value on are large.
 pub(super) const LARGE_SHARE: f64 = 0.25;

@@ -19,7 +19,7 @@ fn read(path: &Path) -> Splats {
 /// Counts and degrees as the programs that wrote the files state them.
 #[test]
 #[ignore = "needs OCTOBAYES_DATA/splats and splats-trained"]
-fn every_file_is_read_whole() {
+fn every_file_of_the_data_is_read_whole() {
     for (name, count, degree) in [
         ("splats/armadillo_10k.splat", 10_000, 0),
         ("splats/spot_10k.splat", 10_000, 0),

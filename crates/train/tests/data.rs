@@ -16,7 +16,7 @@ fn data(path: &str) -> PathBuf {
 
 #[test]
 #[ignore = "needs OCTOBAYES_DATA/nerf-lego-400"]
-fn a_short_training_on_lego_reaches_the_measured_quality() {
+fn a_short_training_on_data_of_lego_reaches_the_measured_quality() {
     let files = DatasetFiles::read(&data("nerf-lego-400")).unwrap();
     let [shots, held_out] = files.load(&Silent).unwrap();
     assert_eq!((shots.len(), held_out.len(), files.missing), (100, 40, 0));
@@ -32,7 +32,7 @@ fn a_short_training_on_lego_reaches_the_measured_quality() {
 
 #[test]
 #[ignore = "needs OCTOBAYES_DATA/nerf-lego-400"]
-fn splats_trained_on_lego_reach_the_measured_quality() {
+fn splats_trained_on_data_of_lego_reach_the_measured_quality() {
     let files = DatasetFiles::read(&data("nerf-lego-400")).unwrap();
     let half =
         |shots: Vec<Shot>| -> Vec<Shot> { shots.into_iter().map(|shot| shot.shrunk([200; 2]).unwrap()).collect() };

@@ -1,8 +1,8 @@
 //! Pre-trained models, which the repository does not ship: `OCTOBAYES_DATA` names their folder.
 
-mod models;
-mod sight;
-mod tolerance;
+mod models_on_data;
+mod sight_on_data;
+mod tolerance_on_data;
 
 use std::path::PathBuf;
 
