@@ -20,8 +20,9 @@
 //!   to the positions of the samples: by central differences, or by the field's own derivatives.
 //! - [`rays`] draws the training rays and hands on their samples with these Jacobians.
 //! - [`posterior`] spreads the Jacobians over the vertices around each sample, sums them along the ray, squares, and
-//!   sums over rays. It refines the octree where the sums are not negligible. Where rays cannot support the finest
-//!   lattice, [`MaxLevels`](octree::MaxLevels) keep leaves coarser, if that is asked for.
+//!   sums over rays. Sums that a budget of memory has no room for go to disk. The octree is refined where they are not
+//!   negligible. Where rays cannot support the finest lattice, [`MaxLevels`](octree::MaxLevels) keep leaves coarser, if
+//!   that is asked for.
 //! - [`uncertainty`] computes one standard deviation per vertex from these sums and interpolates it. This is U(x), to
 //!   be stored, queried, compared and merged.
 //! - [`estimate`] runs all of this: an [`Estimation`](estimate::Estimation) holds the settings of a run, and a
@@ -29,9 +30,9 @@
 //!
 //! The program and the Python package are made of more: `octobayes-data` reads cameras, images and arrays of other
 //! programs, `octobayes-models` and `octobayes-splats` are trained models, and `octobayes-train` fits some.
-//! `octobayes-evaluation` judges fields on held-out views, `octobayes-next-view` ranks cameras by how much their images,
-//! not yet taken, would constrain the displacements, `octobayes-synth` makes data, `octobayes-show` draws and writes for
-//! other tools, and `octobayes-session` runs from files to files.
+//! `octobayes-evaluation` judges fields on held-out views, `octobayes-next-view` ranks cameras by how much their
+//! images, not yet taken, would constrain the displacements, `octobayes-synth` makes data, `octobayes-show` draws and
+//! writes for other tools, and `octobayes-session` runs from files to files.
 //!
 //! # Example
 //!

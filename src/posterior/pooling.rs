@@ -21,7 +21,8 @@ impl Pooling {
         self != Self::Off
     }
 
-    /// Whether a field of such sums is made of a copy of all of them: of a part of a run, to keep them, or to pool them.
+    /// Whether a field of such sums is made of a copy of all of them: of a part of a run, to keep them, or to pool
+    /// them.
     #[must_use]
     pub fn gathers_sums(self, is_part: bool, keep_sums: bool) -> bool {
         is_part || keep_sums || self.is_on()

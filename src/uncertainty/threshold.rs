@@ -31,8 +31,8 @@ pub fn threshold_warning(field: &BakedField, log10: f64) -> Option<String> {
 }
 
 /// `[n]`: which parts with these `centers` (`[n]`, such as those of splats) a clean-up keeps: those at whose centre
-/// log10 U is at most `threshold`, but none that was never seen, whose U is not that of a look at it. From the prior on,
-/// all are kept.
+/// log10 U is at most `threshold`, but none that was never seen, whose U is not that of a look at it. From the prior
+/// on, all are kept.
 #[must_use]
 pub fn is_certain(centers: &[Vec3], field: &BakedField, threshold: f64) -> Vec<bool> {
     let is_all = threshold >= field.field().record().reading().prior().log10();

@@ -179,7 +179,7 @@ fn exact(path: &Path, resolution: [u32; 2]) -> Result<([u32; 2], Vec<Reading>)> 
     let (size, depths) = if has_extension(path, "npy") {
         array(path, resolution)?
     } else {
-        crate::read_exr_depth(path, |size| check_size(path, size, resolution))?
+        crate::exr::read_exr_depth(path, |size| check_size(path, size, resolution))?
     };
     Ok((size, depths.into_iter().map(reading).collect()))
 }

@@ -2,8 +2,9 @@
 //!
 //! [`Views`] reads the cameras of COLMAP, nerfstudio, Inria's code and `transforms.json` into one frame, and a
 //! [`Selection`] says which of them a purpose takes. [`SamplesReader`] reads training rays that another framework
-//! differentiated, [`OfficialGrid`] the official code's grid. Every file is untrusted: sizes are compared with the bytes
-//! present before anything is allocated, and a key or convention that would change a ray is applied or refused by name.
+//! differentiated, [`OfficialGrid`] the official code's grid. Every file is untrusted: sizes are compared with the
+//! bytes present before anything is allocated, and a key or convention that would change a ray is applied or refused by
+//! name.
 //!
 //! # Example
 //! ```
@@ -66,6 +67,7 @@ pub use samples_file::{SamplesReader, SamplesWriter};
 pub use views::{Frame, Purpose, Views};
 
 /// instant-ngp's factor from scene units of NeRF-synthetic data sets to its unit cube.
+#[doc(hidden)]
 pub const NGP_SCALE: f64 = 0.33;
 
 // What only our own crates name.
@@ -74,7 +76,7 @@ pub use self::{
     colmap::{ScenePoint, scene_points},
     depth::{DepthEncoding, DepthKind, DepthMap},
     element::{Dtype, Element, Index, Real, Stored},
-    exr::{read_exr_depth, write_exr},
+    exr::write_exr,
     folders::{passed_over, taken_for, test_partner},
     frames::{FrameSplit, Part},
     hemisphere::Hemisphere,

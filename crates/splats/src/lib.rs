@@ -50,7 +50,7 @@ pub use self::{
     read::refuse_checkpoint,
     render::{
         FAINTEST, FRUSTUM_MARGIN, Footprint, Hit, Hits, MIN_TRANSMITTANCE, MOST_OPAQUE, NEAR, Projector, Shape,
-        SplatView, boxed, middle, share_too_near,
+        SplatView, boxed, middle,
     },
     summary::{QUANTILES, Summary},
 };

@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 
-use crate::{NEAR, SplatRenderer, Splats, seen_domain, share_too_near};
+use crate::render::share_too_near;
+use crate::{NEAR, SplatRenderer, Splats, seen_domain};
 use octobayes::Result;
 use octobayes::estimate::RaySettings;
 use octobayes::estimate::{Feature, Model, lacks_of_no_field};
@@ -101,7 +102,7 @@ impl Model for Splats {
         match feature {
             Feature::Pooling => Some("a volume: splats are smooth, and pooling would only smear"),
             Feature::Images => Some("a volume, whose training images are compared with it pixel by pixel"),
-            Feature::March | Feature::AnyOrder | Feature::Density => lacks_of_no_field(feature),
+            _ => lacks_of_no_field(feature),
         }
     }
 

@@ -20,6 +20,7 @@ use crate::uncertainty::BakedField;
 
 /// What not every model has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Feature {
     /// Rays that are marched, and derivatives of a density: steps, cutoffs, an occupancy grid, an audit.
     March,
@@ -194,7 +195,7 @@ pub trait Model: Send + Sync {
     }
 }
 
-/// [`Model::lacks`] of what is no field.
+/// What a model [lacks](Model::lacks) that is no field; an implementation may lack more.
 #[must_use]
 pub fn lacks_of_no_field(feature: Feature) -> Option<&'static str> {
     match feature {

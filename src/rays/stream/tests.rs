@@ -159,3 +159,12 @@ fn what_was_cut_short_is_not_handed_on() {
         assert!(drawn < 100, "{drawn}");
     }
 }
+
+#[test]
+fn pixels_of_another_purpose_are_others() {
+    let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(2, [16, 16]));
+    let lattice = GridSettings::default().level(4).lattice(Domain::Box(scene.bounds())).unwrap();
+    let stream = RaySettings::default().occupancy(16).stream(&scene, &cameras, &lattice, &Silent).unwrap();
+    let seeds = [Purpose::Pilot, Purpose::Surface, Purpose::Group(0)].map(|purpose| stream.for_purpose(purpose));
+    assert!(seeds.iter().all(|other| other.pixels.seed() != stream.pixels.seed()));
+}

@@ -208,8 +208,8 @@ fn is_known<S: Sums>(groups: &[S]) -> bool {
 }
 
 impl UncertaintyField {
-    /// Adds the error of every log10 σ_v to the field. It is computed from the sums of independent `groups`; group g has
-    /// `rays[g]` rays.
+    /// Adds the error of every log10 σ_v to the field. It is computed from the sums of independent `groups`; group g
+    /// has `rays[g]` rays.
     ///
     /// # Errors
     /// If sums that left memory cannot be read.

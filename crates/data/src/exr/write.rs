@@ -33,7 +33,7 @@ pub fn write_exr(path: &Path, [width, height]: [u32; 2], channels: Vec<(&str, Ve
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::read_exr_depth;
+    use crate::exr::read_exr_depth;
 
     #[test]
     fn channels_are_read_back_under_their_names() {

@@ -22,8 +22,8 @@ pub struct LensKind {
     rolling_shutter: Option<Vec<f64>>,
 }
 
-/// Names of perspective cameras in COLMAP and nerfstudio. All are [`Distortion`](octobayes::geometry::Distortion) with some
-/// coefficients zero.
+/// Names of perspective cameras in COLMAP and nerfstudio. All are [`Distortion`](octobayes::geometry::Distortion) with
+/// some coefficients zero.
 pub const PERSPECTIVE: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL"];
 
 impl LensKind {

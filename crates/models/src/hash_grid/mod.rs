@@ -161,6 +161,8 @@ pub struct HashGrid {
 }
 
 impl HashGrid {
+    /// A field of these parts, as trained.
+    #[doc(hidden)]
     #[must_use]
     pub fn new(
         config: HashGridConfig,
@@ -192,24 +194,32 @@ impl HashGrid {
     }
 
     /// The space with its bounds.
+    /// A field of these parts, as trained.
+    #[doc(hidden)]
     #[must_use]
     pub fn space(&self) -> &Space {
         &self.space
     }
 
     /// Features and weights.
+    /// A field of these parts, as trained.
+    #[doc(hidden)]
     #[must_use]
     pub fn parameters(&self) -> &Parameters {
         &self.parameters
     }
 
     /// The window at a position in the unit cube.
+    /// A field of these parts, as trained.
+    #[doc(hidden)]
     #[must_use]
     pub fn window_at(&self, u: [f32; 3]) -> f32 {
         self.window.at(Vec3::from_array(u) - 0.5)
     }
 
     /// Occupied cells of the occupancy grid, `[n³]`, x fastest.
+    /// A field of these parts, as trained.
+    #[doc(hidden)]
     #[must_use]
     pub fn occupied(&self) -> &[bool] {
         &self.occupied

@@ -4,6 +4,9 @@
 //! `grid::Grid` in bricks; only bricks with matter are stored (`bricks`), packed into 3D textures (`pack`), and
 //! `volume` makes cells as small as the file allows. `splats` are stored one by one. The book's chapter on `view`
 //! lists the approximations.
+//!
+//! Of the scripts, `page.html` has the sliders, `input.js` hears them and the mouse, `main.js` sets their ranges and
+//! keeps what is chosen, `panel.js` draws the legend and the histogram beside them, and the renderers draw the model.
 
 mod bricks;
 mod color;

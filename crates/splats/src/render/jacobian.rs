@@ -57,7 +57,7 @@ impl SplatView<'_> {
     /// Appends what is shown at an image point to `out` as samples of ray `index`: centres, Jacobians and weights.
     ///
     /// A ray with a number that is not finite is dropped, and counted as such.
-    pub fn push_samples(&self, at: [f64; 2], index: u64, hits: &mut Hits, out: &mut RaySamples) {
+    pub(crate) fn push_samples(&self, at: [f64; 2], index: u64, hits: &mut Hits, out: &mut RaySamples) {
         self.hits(at, hits);
         let ray = self.camera.ray(at[0], at[1]);
         out.sight.push(self.segment(hits, ray));
@@ -85,7 +85,7 @@ impl SplatView<'_> {
     }
 
     /// How far the ray of an image point sees.
-    pub fn sight(&self, at: [f64; 2], hits: &mut Hits) -> VisibleSegment {
+    pub(crate) fn sight(&self, at: [f64; 2], hits: &mut Hits) -> VisibleSegment {
         self.hits(at, hits);
         self.segment(hits, self.camera.ray(at[0], at[1]))
     }

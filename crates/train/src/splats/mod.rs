@@ -3,8 +3,8 @@
 //! One step draws one training image (Kerbl et al. 2023): ellipses on the image, tile by tile and front to back, the
 //! mean absolute error, and its derivatives by the chain rule back to centres, deviations, rotations, opacities and
 //! colours, which Adam moves. Splats begin near the surface of the visual hull, at COLMAP's points, or anywhere in the
-//! box, and become more where images ask for it. [`octobayes_splats`]' renderer projects splats; compositing is f32 code
-//! of its own, which takes eight pixels at a time. Nothing depends on the number of threads.
+//! box, and become more where images ask for it. [`octobayes_splats`]' renderer projects splats; compositing is f32
+//! code of its own, which takes eight pixels at a time. Nothing depends on the number of threads.
 
 mod cloud;
 mod growth;

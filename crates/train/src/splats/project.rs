@@ -1,8 +1,8 @@
 //! Splats on an image, and the way back: from the derivatives by their ellipses to those by their parameters.
 //!
-//! Letters as in `splats::render`, which projects: t centre in camera axes (x right, y down, z forward), m its image, W
-//! covariance in camera axes, J Jacobian of m by t with x/z and y/z limited, Σ₂ = J W Jᵀ + 0.3 I, A = Σ₂⁻¹. Projecting
-//! takes f64 numbers and compositing f32: a splat has many pixels.
+//! Letters as in [`octobayes_splats`]' renderer, which projects: t centre in camera axes (x right, y down, z forward),
+//! m its image, W covariance in camera axes, J Jacobian of m by t with x/z and y/z limited, Σ₂ = J W Jᵀ + 0.3 I, A =
+//! Σ₂⁻¹. Projecting takes f64 numbers and compositing f32: a splat has many pixels.
 
 use glam::{DMat3, DVec2, DVec3, Vec2, Vec3};
 

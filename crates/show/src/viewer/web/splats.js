@@ -49,7 +49,7 @@ class Splats {
 
   /**
    * Splat i on the image of a `lens`, written into `out`; false if no pixel shows it. The shader does the same, and
-   * both do what src/splats/render/project.rs explains.
+   * both do what crates/splats/src/render/project.rs explains.
    */
   project(i, { eye, rows: [right, down, forward], focal, center, limits: [low, high] }, out) {
     // Plain numbers: a hundred thousand splats are projected for every move of the pointer.

@@ -1,4 +1,4 @@
-// A splat's ellipse on the canvas, as src/splats/render/project.rs explains.
+// A splat's ellipse on the canvas, as crates/splats/src/render/project.rs explains.
 precision highp float;
 precision highp int;
 precision highp usampler2D;
