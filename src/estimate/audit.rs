@@ -122,6 +122,7 @@ mod tests {
     }
 
     #[test]
+    #[ignore = "slow: several seconds"]
     fn coarser_approximations_are_found_out() {
         let good = audit(RaySettings::default());
         assert!(good.rays == 1_000 && good.cutoff.vertices > 1_000);

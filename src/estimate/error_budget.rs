@@ -65,6 +65,7 @@ mod tests {
     use crate::posterior::Criterion;
 
     #[test]
+    #[ignore = "slow: several seconds"]
     fn a_budget_holds_what_was_measured_and_nothing_else() {
         let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(4, [32, 32]));
         let run = |grid: GridSettings| {

@@ -229,6 +229,7 @@ fn the_default_step_is_as_far_as_positions_need() {
 /// rule is to keep log10 U within a tenth of a decade per level in the mean; dividing by less or more would not
 /// (`experiments/coarse_leaves.md` has more scenes and levels).
 #[test]
+#[ignore = "slow: several seconds"]
 fn coarse_leaves_mean_what_fine_ones_do() {
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(10, [64, 64]);

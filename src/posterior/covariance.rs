@@ -190,8 +190,7 @@ impl InverseFactor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use num_rational::BigRational;
-    use num_traits::ToPrimitive;
+    use dashu_ratio::RBig;
     use proptest::prelude::*;
 
     fn seen(information: Information) -> VertexSums {
@@ -312,7 +311,7 @@ mod tests {
                     *a += product * scale;
                 }
             }
-            let exact = |v: f64| BigRational::from_float(v).unwrap();
+            let exact = |v: f64| RBig::try_from(v).unwrap();
             // Principal minors and determinant of A + shift · I.
             let minors_of = |shift: f64| {
                 let [xx, yy, zz] = [0, 3, 5].map(|i| exact(a[i]) + exact(shift));
@@ -331,7 +330,7 @@ mod tests {
             let zero = exact(0.0);
             if minors.iter().all(|m| *m >= zero) && det >= zero {
                 let (minors, _, det) = minors_of(floor);
-                let expected = ((&minors[0] + &minors[1] + &minors[2]) / &det).to_f64().unwrap();
+                let expected = ((&minors[0] + &minors[1] + &minors[2]) / &det).to_f64().value();
                 // The rounding is 2⁻¹⁰⁰ of the largest entry, which is at most 10²² floors.
                 prop_assert!((found / expected - 1.0).abs() < 1e-8, "{} instead of {}", found, expected);
             }

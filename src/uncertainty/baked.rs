@@ -162,6 +162,7 @@ mod tests {
     use crate::posterior::Covariance;
 
     #[test]
+    #[ignore = "slow: several seconds"]
     fn answers_are_those_of_the_field_but_for_rounding() {
         let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(5, [64, 48]));
         let golden = [0.819_172_513_396_164_4, 0.671_043_606_703_789_2, 0.549_700_477_901_970_3];

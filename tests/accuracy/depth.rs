@@ -80,6 +80,7 @@ fn view_with_step(tracer: &Tracer, camera: &Camera, field: &UncertaintyField, st
 
 /// Every vertex is moved along every axis, the ray rendered again, and gᵀ C g added up.
 #[test]
+#[ignore = "slow: several seconds"]
 fn the_variance_is_that_of_rendering_moved_matter_again() {
     let ball = ClosedForm::ball();
     let grid = GridSettings::default().grid(GridKind::Dense).level(3);

@@ -41,6 +41,7 @@ impl TrainedField for BlackBox<'_> {}
 /// An early version lost 39 % of the information here, from rays that pass a step within h with all samples in
 /// empty space.
 #[test]
+#[ignore = "slow: several seconds"]
 fn rays_that_pass_a_step_by_are_found_if_the_field_bounds_its_density() {
     let scene = scene("opaque-step");
     let cameras = scene.cameras();

@@ -56,6 +56,7 @@ fn check_equal(merged: &UncertaintyField, whole: &UncertaintyField, n: f64, what
 
 /// Merged shards are the run over all rays, and within the tolerance of the dense grid of the same rays.
 #[test]
+#[ignore = "slow: several seconds"]
 fn parts_joined_are_the_whole_run_at_any_tolerance() {
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(6, [64, 64]);
@@ -88,6 +89,7 @@ fn parts_joined_are_the_whole_run_at_any_tolerance() {
 
 /// Runs with seeds of their own prune their octrees separately. Merged, they are still within the tolerance.
 #[test]
+#[ignore = "slow: several seconds"]
 fn whole_runs_joined_stay_within_the_tolerance() {
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(6, [64, 64]);

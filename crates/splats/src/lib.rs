@@ -54,7 +54,7 @@ pub use self::{
     },
     summary::{QUANTILES, Summary},
 };
-#[cfg(any(test, feature = "testing"))]
+// The slow reference, with which tests of our other crates compare, too.
 #[doc(hidden)]
 pub use render::reference;
 

@@ -67,6 +67,7 @@ fn bits(trainer: &Trainer) -> Vec<u32> {
 }
 
 #[test]
+#[ignore = "slow: several seconds"]
 fn gradients_are_those_of_the_definition() {
     use rand::{RngExt, SeedableRng};
     let mut rng = rand::rngs::ChaCha8Rng::seed_from_u64(1);
@@ -77,7 +78,7 @@ fn gradients_are_those_of_the_definition() {
         Domain::contracted(DVec3::new(0.1, 0.0, 0.2), 0.5, Norm::L2).unwrap(),
     ] {
         let space = Space::new(domain).unwrap();
-        let parameters = random_parameters(&mut rng);
+        let parameters = random_parameters(|most| rng.random_range(-most..most));
         let cameras: Vec<Camera> = shots.iter().map(|shot| shot.camera).collect();
         let mut occupancy = OccupancyGrid::new(8, &space, &cameras);
         let densities = (0..512).map(|_| if rng.random_bool(0.1) { 1e9 } else { 0.0 }).collect();
@@ -260,6 +261,7 @@ fn a_small_scene_is_learnt() {
 /// `quality` samples as training does. The renderer of all fields has another step in contracted space, and its own
 /// occupancy grid.
 #[test]
+#[ignore = "slow: several seconds"]
 fn quality_is_what_the_renderer_shows() {
     let (domain, [shots, held_out]) = courtyard(48);
     let contracted = Domain::contracted(DVec3::ZERO, 0.8, Norm::L2).unwrap();

@@ -9,6 +9,7 @@ fn outcome(grid: GridSettings) -> Outcome {
 }
 
 #[test]
+#[ignore = "slow: several seconds"]
 fn a_field_without_sums_has_the_bits_of_one_with_them() {
     for covariance in Covariance::ALL {
         for ray_count in [false, true] {

@@ -25,6 +25,7 @@ fn with_run<T>(
 }
 
 #[test]
+#[ignore = "slow: several seconds"]
 fn vertices_and_sums_are_at_most_what_the_first_rays_foresee_and_not_much_less() {
     are_foreseen([(GridSettings::default().level(6).keep_sums(false), None, None)]);
 }
@@ -76,6 +77,7 @@ fn are_foreseen(cases: impl IntoIterator<Item = (GridSettings, Option<usize>, Op
 }
 
 #[test]
+#[ignore = "slow: several seconds"]
 fn a_plan_can_be_refused_and_a_resumed_run_has_none() {
     let grid = GridSettings::default().level(6);
     let refuse = &mut |_: &Plan| Err(Error::setting("memory", "more", "less"));

@@ -18,6 +18,7 @@ fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
 }
 
 #[test]
+#[ignore = "slow: several seconds"]
 fn a_field_has_the_vertices_and_values_of_a_run_without_a_budget() {
     is_that_without_a_budget([(GridSettings::default().level(7).keep_sums(false), 1 << 20)]);
 }
@@ -82,6 +83,7 @@ fn error_bars_and_mean_errors_are_those_of_runs_without_a_budget() {
 }
 
 #[test]
+#[ignore = "slow: several seconds"]
 fn groups_of_rays_resume_with_their_runs() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("run.chk");
@@ -132,6 +134,7 @@ fn many_runs_are_merged_under_way() {
 }
 
 #[test]
+#[ignore = "slow: several seconds"]
 fn a_resumed_run_has_the_same_bits_and_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("run.chk");

@@ -5,6 +5,7 @@ use crate::rays::Pixels;
 use crate::uncertainty::merge;
 
 #[test]
+#[ignore = "slow: several seconds"]
 fn a_share_of_visible_surfaces_is_that_of_pixels_that_the_field_did_not_draw() {
     // A ray lowers U where it passes. Of 10,000 rays, the points that they hit themselves have their 90 % where other
     // pixels have 69 %.

@@ -175,6 +175,7 @@ proptest! {
     // Each case walks all 262,144 finest cells.
     #![proptest_config(ProptestConfig::with_cases(12))]
     #[test]
+    #[ignore = "slow: several seconds"]
     fn on_limited_leaves_sums_are_those_of_the_conforming_basis(
         samples in ray_samples(), wanted in proptest::collection::vec((0_u64..8, 1_u8..=6), 1..5),
     ) {
@@ -274,6 +275,7 @@ fn bits(sums: &VertexSums) -> ([u64; 3], u32) {
 
 proptest! {
     #[test]
+    #[ignore = "slow: several seconds"]
     fn a_diagonal_alone_has_the_bits_of_all_sums(
         samples in ray_samples(),
         wanted in prop_oneof![Just(Vec::new()), proptest::collection::vec((0_u64..8, 1_u8..=5), 1..5)],

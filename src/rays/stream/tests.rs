@@ -96,6 +96,7 @@ fn portions_of_any_size_are_the_same_rays() {
 }
 
 #[test]
+#[ignore = "slow: several seconds"]
 fn rays_that_ask_together_get_what_they_get_apart() {
     let cameras = ClosedForm::half_circle(5, [64, 48]);
     let rays = 100_000;

@@ -144,6 +144,7 @@ fn the_folder_of_a_checkpoint_is_looked_at_before_any_work() {
 
 /// The demo replaces results of an earlier one in its folder, and no files of others.
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn the_demo_replaces_results_of_a_demo_only() {
     let desk = Desk::empty();
     let demo = "demo --scene ball --level 4 --rays 1000 -o";

@@ -375,7 +375,6 @@ impl TrainedField for HashGrid {
     }
 }
 
-#[cfg(any(test, feature = "testing"))]
 pub mod slow;
 #[cfg(test)]
 mod tests;

@@ -2,9 +2,6 @@
 
 use glam::DVec3;
 
-use rand::RngExt;
-use rand::rngs::ChaCha8Rng;
-
 use super::{Encoding, HashGridConfig, N_FEATURES_PER_LEVEL, Network, Parameters, spherical_harmonics};
 
 /// A small field.
@@ -12,9 +9,10 @@ pub const SMALL: HashGridConfig =
     HashGridConfig { log2_hashmap_size: 9, base_resolution: 3, per_level_scale: 1.5, occupancy: 8 };
 
 /// Weights that make every layer matter: densities around 1, hidden units on both sides of 0.
-pub fn random_parameters(rng: &mut ChaCha8Rng) -> Parameters {
+///
+/// `random` draws from minus to plus a number.
+pub fn random_parameters(mut random: impl FnMut(f32) -> f32) -> Parameters {
     let levels = Encoding::levels_of(&SMALL);
-    let mut random = |range: f32| rng.random_range(-range..range);
     let table = (0..Encoding::entries(&levels)).map(|_| std::array::from_fn(|_| random(1.0))).collect();
     let mut network = Network::zero();
     network.layers_mut().into_iter().for_each(|layer| layer.fill_with(|| random(0.5)));

@@ -15,7 +15,13 @@ fn field(domain: Domain, rng: &mut ChaCha8Rng) -> HashGrid {
 fn field_with(share: f64, domain: Domain, rng: &mut ChaCha8Rng) -> HashGrid {
     let occupied = (0..512).map(|_| rng.random_bool(share)).collect();
     let training = serde_json::json!({ "seed": 7, "rate": 0.03_f32 });
-    HashGrid::new(SMALL, Space::new(domain).unwrap(), random_parameters(rng), occupied, training)
+    HashGrid::new(
+        SMALL,
+        Space::new(domain).unwrap(),
+        random_parameters(|most| rng.random_range(-most..most)),
+        occupied,
+        training,
+    )
 }
 
 fn domains() -> [Domain; 3] {

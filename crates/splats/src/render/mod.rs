@@ -14,7 +14,6 @@ mod extent;
 mod images;
 mod jacobian;
 mod project;
-#[cfg(any(test, feature = "testing"))]
 pub mod reference;
 #[cfg(test)]
 mod tests;
