@@ -34,6 +34,7 @@ pub fn remove_leftovers(target: &Path) {
 
 /// Makes what will be `target` with `make`, in the same folder, under the name `.octobayes-TARGET-….part`, once what
 /// killed processes left of the same target is gone.
+#[cfg_attr(not(unix), expect(unused_variables, reason = "permissions are an idea of Unix"))]
 pub fn beside<T>(target: &Path, mode: u32, make: impl FnOnce(&Builder, &Path) -> io::Result<T>) -> io::Result<T> {
     remove_leftovers(target);
     let prefix = prefix_of(target);

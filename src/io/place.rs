@@ -30,7 +30,8 @@ pub fn destination(path: &Path) -> PathBuf {
 /// their name would not reach them.
 pub fn check_replaceable(path: &Path) -> Result<()> {
     // Such as /dev/stdout, even where it leads to a file: the shell has that file open.
-    let is_held = cfg!(unix) && (folder_of(path) == "/dev" || path.starts_with("/dev/fd") || path.starts_with("/proc"));
+    let is_held = cfg!(unix)
+        && (folder_of(path) == Path::new("/dev") || path.starts_with("/dev/fd") || path.starts_with("/proc"));
     let found = match path.metadata() {
         Ok(metadata) if metadata.is_dir() => "a folder",
         Ok(metadata) if !metadata.is_file() || is_held => "a device or a pipe",
