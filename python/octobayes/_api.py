@@ -633,8 +633,9 @@ def splat_columns(
 
     Returns 'uncertainty' (U at the centre; of a u of scale='data' in scene units), 'log10_uncertainty' and, if u knows
     where rays passed, 'seen' (0 never seen, 1 free, 2 constrained, as ``u.seen``); and with the training ``cameras``
-    'weight' (sum of the splat's shares of about ``pixels`` pixels that were looked at) and 'views' (training views in
-    which its share of one of these pixels exceeds 0.05).
+    'weight' (sum of the splat's shares of about ``pixels`` pixels that were looked at), 'views' (training views in
+    which its share of one of these pixels exceeds 0.05) and 'front_share' (the part of its weight that is nearer than
+    where half of a pixel's light is reached, by more than a hundredth of that depth: near 1 for floaters).
     """
     u = _field("u", u)
     splats = _opened(splats, cameras, u)
@@ -653,7 +654,7 @@ def splat_columns(
         }
         with reporting(progress) as report:
             seen = _octobayes.seen_splats(splats._model, np.ascontiguousarray(rows), options, report)
-        columns |= dict(zip(("weight", "views"), seen))
+        columns |= dict(zip(("weight", "views", "front_share"), seen))
     return columns
 
 

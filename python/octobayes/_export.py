@@ -53,7 +53,7 @@ def export(
     the cameras see, with colour, normal, log10 U, sigma and rays, and with ``ellipsoids`` the axes of the covariance;
     ``.ply`` with ``mesh``, the surface as triangles; ``.csv``, per camera and region the share of surfaces that was
     never seen, and quantiles of sigma. With Gaussian splats as ``nerf``: ``.ply``, the splats with columns
-    uncertainty, log10_uncertainty, seen and, with ``cameras``, weight and views (:func:`splat_columns`).
+    uncertainty, log10_uncertainty, seen and, with ``cameras``, weight, views and front_share (:func:`splat_columns`).
 
     threshold: first remove density, or splats, where log10 U exceeds this (or, as '99%', what it exceeds on the most
     certain 99 percent of visible surfaces). pixels: how many to look at, over all cameras. cells: of the mesh, along

@@ -166,8 +166,8 @@ def export_surfaces(
 ) -> None: ...
 def seen_splats(
     splats: Splats, rows: Doubles, options: dict[str, Any], progress: Progress | None
-) -> tuple[Doubles, NDArray[np.uint32]]:
-    """weight [n], views [n]."""
+) -> tuple[Doubles, NDArray[np.uint32], Doubles]:
+    """weight [n], views [n], front_share [n]."""
 
 def export_splats(
     splats: Splats,

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use octobayes::{Error, Result};
 use octobayes_session::OpenedModel;
-use octobayes_show::export::{SeenSplats, write_splats};
-use octobayes_splats::{RenderMode, SplatRenderer, Splats as Gaussians};
+use octobayes_show::export::write_splats;
+use octobayes_splats::{RenderMode, SeenSplats, SplatRenderer, Splats as Gaussians};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -157,8 +157,9 @@ impl Splats {
     }
 }
 
-/// What some cameras show of each splat: sums of shares of pixels `[n]`, and numbers of views `[n]`.
-type Seen<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<u32>>);
+/// What some cameras show of each splat: sums of shares of pixels `[n]`, numbers of views `[n]`, and the part of these
+/// shares that is in front of what the pixels show `[n]`.
+type Seen<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<u32>>, Bound<'py, PyArray1<f64>>);
 
 /// Looks at about `pixels` pixels of the cameras together.
 #[pyfunction]
@@ -176,7 +177,8 @@ pub fn seen_splats<'py>(
         let renderer = SplatRenderer::new(splats, settings.background);
         SeenSplats::measure(&renderer, &rows, settings.offset_for(splats), pixels, engine.monitor())
     })?;
-    Ok((PyArray1::from_vec(py, seen.weights), PyArray1::from_vec(py, seen.views)))
+    let [weights, front] = [seen.weights, seen.front].map(|values| PyArray1::from_vec(py, values));
+    Ok((weights, PyArray1::from_vec(py, seen.views), front))
 }
 
 /// Writes the splats with their uncertainty; with cameras, what these show of them as well.

@@ -123,13 +123,15 @@ def test_pictures_show_splats_and_what_is_left_of_them(splats, field):
 
 def test_columns_are_those_of_the_file(splats, field, tmp_path):
     columns = ob.splat_columns(splats, field, CAMERAS, progress=False)
-    assert list(columns) == ["uncertainty", "log10_uncertainty", "seen", "weight", "views"]
+    assert list(columns) == ["uncertainty", "log10_uncertainty", "seen", "weight", "views", "front_share"]
     assert list(ob.splat_columns(splats, field)) == ["uncertainty", "log10_uncertainty", "seen"]
     assert (columns["uncertainty"] == field.query(splats.means)).all()
     towards = splats.means @ np.float32([0.7, 0.5, 0.2])
     front, back = towards > 0.4, towards < -0.4
     assert columns["weight"][front].mean() > 20 * columns["weight"][back].mean()
     assert columns["views"][front].mean() > 3.5 > 3 > columns["views"][back].mean()
+    # A closed ball: nothing floats.
+    assert ((columns["front_share"] >= 0) & (columns["front_share"] < 0.9)).all()
     assert (columns["seen"][front] > 0).all() and (columns["seen"][back] == 0).mean() > 0.7
     assert ((field.seen(splats.means) == "unseen") == (columns["seen"] == 0)).all()
     out = tmp_path / "scene-u.ply"

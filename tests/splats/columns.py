@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from plyfile import PlyData
 
-COLUMNS = ["uncertainty", "log10_uncertainty", "seen", "weight", "views"]
+COLUMNS = ["uncertainty", "log10_uncertainty", "seen", "weight", "views", "front_share"]
 
 
 def run(*words: str | Path) -> None:
@@ -43,6 +43,7 @@ def main() -> None:
         log10 = after["log10_uncertainty"]
         assert np.allclose(np.log10(after["uncertainty"]), log10, atol=1e-5)
         assert (after["weight"] >= 0).all() and after["views"].max() > 1
+        assert ((after["front_share"] >= 0) & (after["front_share"] <= 1)).all() and after["front_share"].max() > 0.5
         # Between two values, so that no rounding decides.
         low, high = np.sort(log10)[[len(log10) // 2, len(log10) // 2 + 1]]
         threshold = 0.5 * (float(low) + float(high))

@@ -16,10 +16,10 @@ use octobayes_data::write_official;
 use octobayes_data::{FrameSplit, Part, Selection, Views};
 use octobayes_session::{OpenedModel, Threshold, image_settings};
 use octobayes_show::export::{
-    MeshSettings, SeenSplats, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points,
-    write_report, write_splats,
+    MeshSettings, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
+    write_splats,
 };
-use octobayes_splats::{SplatRenderer, Splats};
+use octobayes_splats::{SeenSplats, SplatRenderer, Splats};
 
 /// Write a field for other tools: NumPy, ParaView, CloudCompare, Blender, spreadsheets, the official code
 ///
@@ -307,7 +307,7 @@ impl Args {
                 Some(SeenSplats::measure(&renderer, &cameras, settings.offset_for(splats), self.pixels, bars)?)
             }
             None => {
-                announce!("note: without --cameras, the columns weight and views are left out");
+                announce!("note: without --cameras, the columns weight, views and front_share are left out");
                 None
             }
         };

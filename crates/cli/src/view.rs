@@ -17,9 +17,9 @@ use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
 use octobayes_data::{Frame, FrameSplit, Part, Selection};
 use octobayes_session::{OpenedModel, image_settings};
-use octobayes_show::export::{SeenSplats, surfaces};
+use octobayes_show::export::surfaces;
 use octobayes_show::viewer::{Page, ShownSplats, ShownVolume, SplatsView, VolumeView, write_splats_view, write_volume};
-use octobayes_splats::{SplatRenderer, Splats};
+use octobayes_splats::{SeenSplats, SplatRenderer, Splats};
 
 /// Pixels looked at for the histogram, if the field holds no points on visible surfaces.
 const PIXELS: u64 = 50_000;

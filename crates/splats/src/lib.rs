@@ -34,6 +34,7 @@ mod mode;
 mod model;
 mod read;
 mod render;
+mod seen;
 mod summary;
 mod write;
 
@@ -44,6 +45,7 @@ use octobayes::{Error, Result};
 use self::columns::Layout;
 pub use self::mode::RenderMode;
 pub use self::render::{SeenSpace, SplatRenderer, seen_domain, tile_of};
+pub use self::seen::{IN_FRONT, MIN_SHARE, SeenSplats};
 // What only our own crates name.
 #[doc(hidden)]
 pub use self::{

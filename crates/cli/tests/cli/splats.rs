@@ -69,8 +69,11 @@ fn a_run_its_queries_its_pictures_and_the_file_with_columns() {
     desk.good("export scene.ply scene.oct --cameras transforms.json -o scene-u.ply");
     let found = Splats::read(&desk.join("scene-u.ply")).unwrap();
     let column = |name: &str| found.extra(name).unwrap_or_else(|| panic!("column {name}"));
-    assert!(found.extra_names().ends_with(&["uncertainty", "log10_uncertainty", "seen", "weight", "views"]));
-    let [u, log10, seen, weight, views] = ["uncertainty", "log10_uncertainty", "seen", "weight", "views"].map(column);
+    let names = ["uncertainty", "log10_uncertainty", "seen", "weight", "views", "front_share"];
+    assert!(found.extra_names().ends_with(&names));
+    let [u, log10, seen, weight, views, in_front] = names.map(column);
+    // A closed ball: nothing floats.
+    assert!(in_front.iter().all(|share| (0.0..0.9).contains(share)));
     for i in 0..found.len() {
         let expected = field.query(found.mean(i)).uncertainty;
         assert!((u[i] / expected - 1.0).abs() < 1e-6 && (log10[i] - expected.log10()).abs() < 1e-6);

@@ -19,4 +19,4 @@ pub use leaves::write_leaves;
 pub use mesh::{MeshSettings, write_mesh};
 pub use points::{Surfaces, surfaces, write_points};
 pub use report::write_report;
-pub use splats::{SeenSplats, write_splats};
+pub use splats::write_splats;

@@ -2,88 +2,16 @@
 
 use std::path::Path;
 
-use glam::{DVec3, Vec3};
-use rayon::prelude::*;
+use glam::Vec3;
 
 use super::leaves::code;
 use octobayes::Result;
-use octobayes::geometry::Camera;
-use octobayes::monitor::{Monitor, check};
 use octobayes::posterior::Scale;
-use octobayes::render::Outputs;
 use octobayes::uncertainty::{BakedField, UncertaintyField, is_certain};
-use octobayes_splats::{Hits, SplatRenderer, Splats};
-
-/// A view counts if a splat's share of one of its pixels exceeds this.
-const MIN_SHARE: f64 = 0.05;
-
-/// What training views show of each splat.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SeenSplats {
-    /// `[n]`: sum of w, its share of a pixel, over the pixels that were looked at.
-    pub weights: Vec<f64>,
-    /// `[n]`: number of views in which w exceeds 0.05 at one of these pixels.
-    pub views: Vec<u32>,
-    /// `[n]`: mean of the splat's colours in these pixels, by w; `None` where none shows it.
-    pub colors: Vec<Option<Vec3>>,
-    /// Number of pixels that were looked at, and of all pixels.
-    pub pixels: [u64; 2],
-}
-
-impl SeenSplats {
-    /// Looks at about `pixels` pixels of all cameras together, evenly spread over each image.
-    ///
-    /// # Errors
-    /// If a lens distorts, or [`Error::Interrupted`](octobayes::Error::Interrupted).
-    pub fn measure(
-        renderer: &SplatRenderer,
-        cameras: &[Camera],
-        pixel_offset: f64,
-        pixels: u64,
-        monitor: &dyn Monitor,
-    ) -> Result<Self> {
-        SplatRenderer::check_cameras(cameras)?;
-        let all: u64 = cameras.iter().map(Camera::pixels).sum();
-        let stride = ((all as f64 / pixels.max(1) as f64).sqrt().round() as u32).max(1);
-        let n = renderer.splats().len();
-        let mut found = Self { weights: vec![0.0; n], views: vec![0; n], colors: Vec::new(), pixels: [0, all] };
-        let mut colors = vec![DVec3::ZERO; n];
-        monitor.begin("training views", cameras.len() as u64);
-        for camera in cameras {
-            check(monitor)?;
-            let view = renderer.prepare(camera, Outputs::Colors);
-            let start = (stride / 2).min(camera.resolution[0] - 1).min(camera.resolution[1] - 1);
-            let rows: Vec<u32> = (start..camera.resolution[1]).step_by(stride as usize).collect();
-            let of_row = |&row: &u32| {
-                let (mut hits, mut found) = (Hits::default(), Vec::new());
-                for column in (start..camera.resolution[0]).step_by(stride as usize) {
-                    view.hits([column, row].map(|i| f64::from(i) + pixel_offset), &mut hits);
-                    found.extend(hits.list.iter().map(|hit| (view.splat(hit), hit.weight())));
-                }
-                found
-            };
-            let (mut is_seen, mut of_view) = (vec![false; n], vec![0.0; n]);
-            // Rows in their order, so that sums do not depend on threads.
-            for (splat, weight) in rows.par_iter().map(of_row).collect::<Vec<_>>().concat() {
-                found.weights[splat] += weight;
-                of_view[splat] += weight;
-                is_seen[splat] |= weight > MIN_SHARE;
-            }
-            // A splat has one colour in a view.
-            view.colors().for_each(|(splat, color)| colors[splat] += of_view[splat] * color);
-            found.views.iter_mut().zip(is_seen).for_each(|(views, is_seen)| *views += u32::from(is_seen));
-            found.pixels[0] += rows.len() as u64 * u64::from((camera.resolution[0] - start).div_ceil(stride));
-            monitor.advance(1);
-        }
-        monitor.end();
-        let mean = |(sum, &weight): (&DVec3, &f64)| (weight > 0.0).then(|| (*sum / weight).as_vec3());
-        found.colors = colors.iter().zip(&found.weights).map(mean).collect();
-        Ok(found)
-    }
-}
+use octobayes_splats::{IN_FRONT, MIN_SHARE, SeenSplats, Splats};
 
 /// Writes splats with the columns `uncertainty` and `log10_uncertainty` of their centres, `seen` if the field has ray
-/// coverage and, if views were looked at, `weight` and `views`. With a threshold, those above it and those never seen
+/// coverage and, if views were looked at, `weight`, `views` and `front_share`. With a threshold, those above it and those never seen
 /// are left out. Returns the number of splats in the file.
 ///
 /// # Errors
@@ -127,12 +55,14 @@ pub fn write_splats(
              2: moving it changes training pixels"
         ));
     }
-    if let Some(SeenSplats { weights, views, pixels: [looked_at, all], .. }) = seen {
+    if let Some(SeenSplats { weights, views, front, pixels: [looked_at, all], .. }) = seen {
         columns.push(("weight", of_kept(&|i| weights[i] as f32)));
         columns.push(("views", of_kept(&|i| views[i] as f32)));
+        columns.push(("front_share", of_kept(&|i| front[i] as f32)));
         comments.push(format!(
             "octobayes {version} weight = sum of the splat's shares of {looked_at} of {all} training pixels; views \
-             = training views with a share above {MIN_SHARE}"
+             = training views with a share above {MIN_SHARE}; front_share = part of the weight that is nearer to the \
+             camera than where half of the pixel's light is reached, by more than {IN_FRONT} of that depth"
         ));
     }
     if let Some(threshold) = threshold {

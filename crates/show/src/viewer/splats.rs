@@ -10,11 +10,10 @@ use serde_json::{Value, json};
 
 use super::pack::text;
 use super::page::{Page, Parts, write};
-use crate::export::SeenSplats;
 use octobayes::geometry::Aabb;
 use octobayes::uncertainty::Observability;
 use octobayes::{Error, Result};
-use octobayes_splats::{FAINTEST, FRUSTUM_MARGIN, MIN_TRANSMITTANCE, MOST_OPAQUE, NEAR, Splats};
+use octobayes_splats::{FAINTEST, FRUSTUM_MARGIN, MIN_TRANSMITTANCE, MOST_OPAQUE, NEAR, SeenSplats, Splats};
 
 const SCRIPTS: [&str; 2] = [include_str!("web/splats.js"), include_str!("web/splats-renderer.js")];
 const SHADERS: [(&str, &str); 3] = [

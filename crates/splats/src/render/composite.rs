@@ -44,6 +44,24 @@ pub struct Hits {
 }
 
 impl SplatView<'_> {
+    /// Depth of a hit's centre along the view axis, scene units.
+    #[must_use]
+    pub fn depth(&self, hit: &Hit) -> f64 {
+        self.footprints[hit.footprint as usize].depth
+    }
+
+    /// Depth at which half of the light that `hits` send is reached, scene units; 0 if they send none.
+    #[must_use]
+    pub fn half_depth(&self, hits: &Hits) -> f64 {
+        let half = 0.5 * hits.list.iter().map(Hit::weight).sum::<f64>();
+        let mut reached = 0.0;
+        let at = hits.list.iter().find(|hit| {
+            reached += hit.weight();
+            reached >= half
+        });
+        at.map_or(0.0, |hit| self.depth(hit))
+    }
+
     /// Finds what is shown at an image point, pixels from the top left corner.
     pub fn hits(&self, at: [f64; 2], hits: &mut Hits) {
         let p = DVec2::from(at);

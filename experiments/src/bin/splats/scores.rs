@@ -9,8 +9,7 @@ use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::rays::Pixels;
 use octobayes::render::{DepthSample, DepthVariance};
 use octobayes::uncertainty::DepthPosterior;
-use octobayes_show::export::SeenSplats;
-use octobayes_splats::{SplatRenderer, Splats};
+use octobayes_splats::{SeenSplats, SplatRenderer, Splats};
 use rayon::prelude::*;
 
 use crate::blocks::{Blocks, Sums, trace};
@@ -21,7 +20,7 @@ pub const LEVEL: u8 = 7;
 const NEIGHBOURS: usize = 8;
 
 /// Names of the scores of [`all`], in its order.
-pub const NAMES: [&str; 13] = [
+pub const NAMES: [&str; 14] = [
     "U along the normal",
     "U, block",
     "U along the normal × largest scale",
@@ -31,6 +30,7 @@ pub const NAMES: [&str; 13] = [
     "FisherRF, colours",
     "weight",
     "views",
+    "front share",
     "1 − opacity",
     "log volume",
     "largest scale",
@@ -65,6 +65,7 @@ pub fn all(splats: &Splats, cameras: &[Camera], bounds: Aabb, noise: f64) -> Res
         each(&|i| -blocks.fisher[i]),
         each(&|i| -seen.weights[i]),
         each(&|i| -f64::from(seen.views[i])),
+        seen.front.clone(),
         each(&|i| 1.0 - f64::from(splats.opacity(i))),
         each(&|i| f64::from(splats.log_scales()[i].element_sum())),
         largest.clone(),

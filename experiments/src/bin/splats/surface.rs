@@ -1,4 +1,4 @@
-//! The true surface: how far points are from it, and whether cameras see them.
+//! The true scene: where points are in it, and whether cameras see them.
 
 use glam::DVec3;
 use octobayes::geometry::Camera;
@@ -7,8 +7,46 @@ use rayon::prelude::*;
 
 use common::visibility::is_seen;
 
+/// Where a point is in the true scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// At the surface of the mesh.
+    Surface,
+    /// In the air, as floaters are.
+    Air,
+    /// Inside the mesh.
+    Inside,
+    /// At the ground, under it, or outside the scene's box: the model is not judged there.
+    Elsewhere,
+}
+
+/// Where points are. What is nearer to a surface than `slack` is at it.
+pub fn places(scene: &MeshScene, points: &[DVec3], slack: f64) -> Vec<Place> {
+    let distances = distances(scene, points);
+    let place = |(x, distance): (&DVec3, f64)| match () {
+        () if x.z < slack - HALF_HEIGHT || !MeshScene::bounds().contains(x.as_vec3()) => Place::Elsewhere,
+        () if distance <= slack => Place::Surface,
+        () if turns(scene, *x) > 0.5 => Place::Inside,
+        () => Place::Air,
+    };
+    points.par_iter().zip(distances).map(place).collect()
+}
+
+/// How often the mesh winds around a point: 1 inside a closed one, 0 outside; the solid angles of its faces (van Oosterom,
+/// Strackee 1983) over 4π (Jacobson, Kavan, Sorkine-Hornung 2013).
+fn turns(scene: &MeshScene, x: DVec3) -> f64 {
+    let mesh = scene.mesh();
+    let angle = |face: u32| {
+        let [a, b, c] = mesh.corners(face).map(|corner| corner - x);
+        let [la, lb, lc] = [a, b, c].map(DVec3::length);
+        let below = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
+        2.0 * a.dot(b.cross(c)).atan2(below)
+    };
+    (0..mesh.faces().len() as u32).map(angle).sum::<f64>() / (4.0 * std::f64::consts::PI)
+}
+
 /// Distance of each point from the mesh or the ground under it, scene units.
-pub fn distances(scene: &MeshScene, points: &[DVec3]) -> Vec<f64> {
+fn distances(scene: &MeshScene, points: &[DVec3]) -> Vec<f64> {
     let mesh = scene.mesh();
     let faces: Vec<Face> = (0..mesh.faces().len() as u32).map(|face| Face::new(mesh.corners(face))).collect();
     let of = |x: &DVec3| {
@@ -78,4 +116,21 @@ impl Face {
 /// Number of cameras that see each point: nothing stands more than `slack` in front of it.
 pub fn sightings(scene: &MeshScene, cameras: &[Camera], points: &[DVec3], slack: f64) -> Vec<usize> {
     points.par_iter().map(|&x| cameras.iter().filter(|camera| is_seen(scene, camera, x, slack)).count()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use octobayes_synth::Mesh;
+
+    use super::*;
+
+    #[test]
+    fn points_are_inside_outside_and_at_the_surface() {
+        let corners = vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].into_iter().map(|x| 0.5 * x - 0.1).collect();
+        let faces = vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+        let scene = MeshScene::new(Mesh::new(corners, faces).unwrap());
+        let points = [DVec3::ZERO, DVec3::splat(0.4), DVec3::splat(-0.1), DVec3::Z * -0.9, DVec3::X * 1.5];
+        let expected = [Place::Inside, Place::Air, Place::Surface, Place::Elsewhere, Place::Elsewhere];
+        assert_eq!(places(&scene, &points, 0.01), expected);
+    }
 }

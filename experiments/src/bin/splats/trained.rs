@@ -1,18 +1,17 @@
-//! Splats that `train --splats` fits to few views of meshes: which of them are far from the surface, and which did no
-//! camera see?
+//! Splats that `train --splats` fits to few views of meshes: which of them float in the air, and which did no camera see?
 
 use glam::DVec3;
 use octobayes::Result;
 use octobayes::monitor::Silent;
 use octobayes::posterior::DataScale;
-use octobayes_evaluation::metrics::{Detection, spearman};
+use octobayes_evaluation::metrics::Detection;
 use octobayes_synth::{DatasetSettings, write_dataset};
 use octobayes_train::{DatasetFiles, SplatSettings, SplatTrainer, Training};
 use serde::{Deserialize, Serialize};
 
 use crate::scene::{self, MESHES, SIDES};
 use crate::scores::{self, LEVEL, NAMES};
-use crate::surface;
+use crate::surface::{self, Place};
 use common::table::{Table, mean};
 use common::work::Work;
 
@@ -21,17 +20,20 @@ const SIDE: u32 = 128;
 const SAMPLES: u32 = 3;
 const VIEWS: u32 = 12;
 const STEPS: u64 = 1000;
-/// A splat farther from the surface than this part of the mesh's length, outside or inside, is far.
-const FAR: f64 = 0.02;
+/// A splat is at the surface if it is no farther from it than this part of the mesh's length.
+const SLACK: f64 = 0.02;
+/// Share of floaters among those that a score marks, at which it is asked how many it finds.
+const PRECISION: f64 = 0.95;
 /// A splat is hidden if something stands in front of it by more than this part of the length.
 const HIDDEN: f64 = 0.01;
 
 /// The figures of one score.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 struct Figures {
-    far: f64,
-    /// Spearman's ρ with the distance from the surface.
-    rank: f64,
+    /// AUROC of floaters, and the share of them that are found at [`PRECISION`].
+    floats: f64,
+    found: f64,
+    inside: f64,
     never_seen: f64,
 }
 
@@ -44,8 +46,8 @@ struct Row {
     splats: usize,
     /// Of the training images, dB.
     psnr: f64,
-    /// Shares of splats that are far, and that no camera saw.
-    shares: [f64; 2],
+    /// Shares of the judged splats that are in the air and inside, and of all that are not judged and that no camera saw.
+    shares: [f64; 4],
     /// `[NAMES]`.
     scores: Vec<Figures>,
 }
@@ -53,9 +55,9 @@ struct Row {
 pub fn settings() -> String {
     format!(
         "{VIEWS} views of {SIDE} × {SIDE} pixels, {STEPS} steps, seed 0; every pixel, level {LEVEL}, `--scale data` \
-         with the error of the training images. A splat is far if its centre is farther than {:.0} % of the mesh's \
-         length from the surface, outside or inside.",
-        100.0 * FAR
+         with the error of the training images. A splat is at the surface if its centre is within {:.0} % of the mesh's \
+         length of it, else in the air or inside. Those at or under the ground and outside the box are not judged.",
+        100.0 * SLACK
     )
 }
 
@@ -70,29 +72,28 @@ pub fn tables(work: &Work) -> Result<String> {
             rows.push((format!("{mesh}, {side}"), row?));
         }
     }
-    let mut models = Table::new(&["model", "splats", "training images, dB", "far", "never seen"]);
+    let head = ["model", "splats", "training images, dB", "in the air", "inside", "not judged", "never seen"];
+    let mut models = Table::new(&head);
     for (name, row) in &rows {
-        let [far, unseen] = row.shares.map(|share| format!("{share:.3}"));
-        models.row(&[name.clone(), row.splats.to_string(), format!("{:.1}", row.psnr), far, unseen]);
+        let shares = row.shares.map(|share| format!("{share:.3}"));
+        models.row(&[vec![name.clone(), row.splats.to_string(), format!("{:.1}", row.psnr)], shares.to_vec()].concat());
     }
-    let figures: [Shown; 3] = [
-        ("AUROC of splats far from the surface", |f| f.far),
-        ("Spearman's ρ with the distance from the surface", |f| f.rank),
+    let figures: [Shown; 4] = [
+        ("AUROC of splats in the air", |f| f.floats),
+        ("share of them found at a precision of 0.95", |f| f.found),
+        ("AUROC of splats inside the mesh", |f| f.inside),
         ("AUROC of splats that no camera saw", |f| f.never_seen),
     ];
-    let table = |(title, figure): &(&str, fn(&Figures) -> f64)| {
-        let names = rows.iter().map(|(name, _)| name.as_str());
-        let head: Vec<&str> = ["score"].into_iter().chain(names).chain(["mean"]).collect();
-        let mut table = Table::new(&head);
+    let names = rows.iter().map(|(name, _)| name.as_str());
+    let mut scores = Table::new(&["figure", "score"].into_iter().chain(names).chain(["mean"]).collect::<Vec<_>>());
+    for (title, figure) in figures {
         for (s, name) in NAMES.iter().enumerate() {
             let values: Vec<f64> = rows.iter().map(|(_, row)| figure(&row.scores[s])).collect();
             let cells = values.iter().copied().chain([mean(&values)]).map(|value| format!("{value:.3}"));
-            table.row(&[name.to_string()].into_iter().chain(cells).collect::<Vec<_>>());
+            scores.row(&[title.to_string(), name.to_string()].into_iter().chain(cells).collect::<Vec<_>>());
         }
-        format!("{title}\n\n{}", table.text())
-    };
-    let others: Vec<String> = figures.iter().map(table).collect();
-    Ok(format!("{}\n{}", models.text(), others.join("\n")))
+    }
+    Ok(format!("{}\n{}", models.text(), scores.text()))
 }
 
 fn measure(mesh: &str, settings: &DatasetSettings) -> Result<Row> {
@@ -113,22 +114,60 @@ fn measure(mesh: &str, settings: &DatasetSettings) -> Result<Row> {
     let truth = scene::read(mesh, settings.up)?;
     let length = scene::length(&truth);
     let centres: Vec<DVec3> = splats.means().iter().map(|x| x.as_dvec3()).collect();
-    let distances = surface::distances(&truth, &centres);
-    let is_far: Vec<bool> = distances.iter().map(|d| *d > FAR * length).collect();
+    let places = surface::places(&truth, &centres, SLACK * length);
+    let judged: Vec<usize> = (0..splats.len()).filter(|&i| places[i] != Place::Elsewhere).collect();
+    let are = |place: Place| judged.iter().map(|&i| places[i] == place).collect::<Vec<bool>>();
+    let [in_air, inside] = [Place::Air, Place::Inside].map(are);
     let sightings = surface::sightings(&truth, &cameras, &centres, HIDDEN * length);
     let unseen: Vec<bool> = sightings.iter().map(|cameras| *cameras == 0).collect();
     let area = |score: &[f64], truth: &[bool]| Detection::new(score, truth).map_or(f64::NAN, |found| found.auroc);
-    let figures = |score: &Vec<f64>| Figures {
-        far: area(score, &is_far),
-        rank: spearman(score, &distances).unwrap_or(0.0),
-        never_seen: area(score, &unseen),
+    let figures = |score: &Vec<f64>| {
+        let of_judged: Vec<f64> = judged.iter().map(|&i| score[i]).collect();
+        Figures {
+            floats: area(&of_judged, &in_air),
+            found: found_at(PRECISION, &of_judged, &in_air),
+            inside: area(&of_judged, &inside),
+            never_seen: area(score, &unseen),
+        }
     };
     let scores = scores::all(&splats, &cameras, files.bounds, DataScale::noise_of(psnr))?;
     let share = |of: &[bool]| of.iter().filter(|is| **is).count() as f64 / of.len() as f64;
     Ok(Row {
         splats: splats.len(),
         psnr,
-        shares: [share(&is_far), share(&unseen)],
+        shares: [share(&in_air), share(&inside), 1.0 - judged.len() as f64 / splats.len() as f64, share(&unseen)],
         scores: scores.iter().map(figures).collect(),
     })
+}
+
+/// The largest share of what `is_positive` that a threshold of the score finds, of all thresholds above which at least
+/// `precision` of them are; 0 if there is none.
+fn found_at(precision: f64, score: &[f64], is_positive: &[bool]) -> f64 {
+    let all = is_positive.iter().filter(|is| **is).count().max(1) as f64;
+    let mut order: Vec<usize> = (0..score.len()).collect();
+    order.sort_by(|&a, &b| score[b].total_cmp(&score[a]));
+    let (mut marked, mut hits, mut most) = (0.0, 0.0, 0.0);
+    for equal in order.chunk_by(|&a, &b| score[a] == score[b]) {
+        marked += equal.len() as f64;
+        hits += equal.iter().filter(|&&i| is_positive[i]).count() as f64;
+        if hits >= precision * marked {
+            most = hits / all;
+        }
+    }
+    most
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_threshold_marks_all_of_equal_scores() {
+        let positive = [true, true, false, true, false];
+        assert_eq!(found_at(0.9, &[5.0, 4.0, 3.0, 2.0, 1.0], &positive), 2.0 / 3.0);
+        assert_eq!(found_at(0.7, &[5.0, 4.0, 3.0, 2.0, 1.0], &positive), 1.0);
+        // The second and third are marked together.
+        assert_eq!(found_at(0.9, &[5.0, 3.0, 3.0, 2.0, 1.0], &positive), 1.0 / 3.0);
+        assert_eq!(found_at(0.9, &[1.0; 5], &positive), 0.0);
+    }
 }
