@@ -26,7 +26,13 @@ pub fn remove_leftovers(target: &Path) {
     for path in others.map(|entry| entry.path()) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let is_part = name.starts_with(&prefix) && name.ends_with(SUFFIX);
-        if is_part && File::open(&path).is_ok_and(|part| part.try_lock().is_ok()) {
+        if !is_part {
+            continue;
+        }
+        // Locked until it is gone: whoever has just made it waits, and makes another.
+        if let Ok(part) = File::open(&path)
+            && part.try_lock().is_ok()
+        {
             let _ = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
         }
     }
@@ -60,10 +66,16 @@ impl AtomicFile {
     pub fn create(target: &Path) -> Result<Self> {
         check_replaceable(target)?;
         let destination = destination(target);
-        let file = beside(&destination, 0o666, |builder, folder| builder.tempfile_in(folder))
-            .map_err(Error::io(target, "cannot create a file in this folder"))?;
-        // Some file systems have no locks. There, nothing is a leftover.
-        let _ = file.as_file().try_lock();
+        let file = loop {
+            let file = beside(&destination, 0o666, |builder, folder| builder.tempfile_in(folder))
+                .map_err(Error::io(target, "cannot create a file in this folder"))?;
+            // Some file systems have no locks. There, nothing is a leftover.
+            let _ = file.as_file().lock();
+            // Between its creation and its lock, another process may have taken it for a leftover.
+            if file.path().exists() {
+                break file;
+            }
+        };
         Ok(Self { writer: BufWriter::with_capacity(1 << 16, file), target: destination })
     }
 
@@ -174,5 +186,21 @@ mod tests {
     fn a_missing_folder_is_named() {
         let error = AtomicFile::create(Path::new("no/such/folder/x.bin")).unwrap_err();
         assert!(error.to_string().starts_with("no/such/folder/x.bin: "), "{error}");
+    }
+
+    /// Whoever clears up may meet a file between its creation and its lock.
+    #[test]
+    fn writers_of_one_file_take_nothing_from_each_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("x.bin");
+        std::thread::scope(|scope| {
+            for writer in 0..4_u8 {
+                let target = &target;
+                scope.spawn(move || (0..300).for_each(|_| AtomicFile::write(target, &[writer; 100]).unwrap()));
+            }
+        });
+        let content = std::fs::read(&target).unwrap();
+        assert!(content.len() == 100 && content.iter().all(|byte| *byte == content[0]));
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "a part is left");
     }
 }
