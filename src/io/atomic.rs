@@ -29,7 +29,7 @@ pub fn remove_leftovers(target: &Path) {
         if !is_part {
             continue;
         }
-        // Locked until it is gone: whoever has just made it waits, and makes another.
+        // The lock lasts until the part is gone. A process that has just made the part waits, and makes another.
         if let Ok(part) = File::open(&path)
             && part.try_lock().is_ok()
         {
@@ -39,9 +39,14 @@ pub fn remove_leftovers(target: &Path) {
 }
 
 /// Makes what will be `target` with `make`, in the same folder, under the name `.octobayes-TARGET-….part`, once what
-/// killed processes left of the same target is gone.
+/// killed processes left of the same target is gone. `lock` locks it, and returns what holds the lock.
 #[cfg_attr(not(unix), expect(unused_variables, reason = "permissions are an idea of Unix"))]
-pub fn beside<T>(target: &Path, mode: u32, make: impl FnOnce(&Builder, &Path) -> io::Result<T>) -> io::Result<T> {
+pub fn beside<T: AsRef<Path>, L>(
+    target: &Path,
+    mode: u32,
+    make: impl Fn(&Builder, &Path) -> io::Result<T>,
+    lock: impl Fn(&T) -> L,
+) -> io::Result<(T, L)> {
     remove_leftovers(target);
     let prefix = prefix_of(target);
     let mut builder = Builder::new();
@@ -49,7 +54,14 @@ pub fn beside<T>(target: &Path, mode: u32, make: impl FnOnce(&Builder, &Path) ->
     // The usual permissions (the umask applies), not the private ones of a temporary file.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(mode));
-    make(&builder, folder_of(target))
+    loop {
+        let made = make(&builder, folder_of(target))?;
+        let held = lock(&made);
+        // Between creation and lock, another process may have removed it as a leftover.
+        if made.as_ref().exists() {
+            return Ok((made, held));
+        }
+    }
 }
 
 /// A buffered file under a temporary name beside its target. [`AtomicFile::commit`] renames it over the target
@@ -66,16 +78,10 @@ impl AtomicFile {
     pub fn create(target: &Path) -> Result<Self> {
         check_replaceable(target)?;
         let destination = destination(target);
-        let file = loop {
-            let file = beside(&destination, 0o666, |builder, folder| builder.tempfile_in(folder))
-                .map_err(Error::io(target, "cannot create a file in this folder"))?;
-            // Some file systems have no locks. There, nothing is a leftover.
-            let _ = file.as_file().lock();
-            // Between its creation and its lock, another process may have taken it for a leftover.
-            if file.path().exists() {
-                break file;
-            }
-        };
+        // Some file systems have no locks. There, nothing is a leftover.
+        let lock = |file: &NamedTempFile| _ = file.as_file().lock();
+        let (file, ()) = beside(&destination, 0o666, |builder, folder| builder.tempfile_in(folder), lock)
+            .map_err(Error::io(target, "cannot create a file in this folder"))?;
         Ok(Self { writer: BufWriter::with_capacity(1 << 16, file), target: destination })
     }
 
@@ -170,8 +176,11 @@ mod tests {
         let targets = ["x.oct".into(), "x".repeat(250), "x".repeat(251)].map(|name| folder.path().join(name));
         let held = targets.each_ref().map(|target| AtomicFile::create(target).unwrap());
         for target in &targets {
-            beside(target, 0o777, |b, folder| Ok((b.tempfile_in(folder)?.keep()?, b.tempdir_in(folder)?.keep())))
-                .unwrap();
+            let leave = |b: &Builder, folder: &Path| {
+                b.tempfile_in(folder)?.keep()?;
+                Ok(b.tempdir_in(folder)?.keep())
+            };
+            beside(target, 0o777, leave, |_| ()).unwrap();
         }
         assert_eq!(count(), 9);
         for (i, target) in targets.iter().enumerate() {
@@ -188,7 +197,7 @@ mod tests {
         assert!(error.to_string().starts_with("no/such/folder/x.bin: "), "{error}");
     }
 
-    /// Whoever clears up may meet a file between its creation and its lock.
+    /// A process that removes leftovers may find a part between its creation and its lock.
     #[test]
     fn writers_of_one_file_take_nothing_from_each_other() {
         let folder = tempfile::tempdir().unwrap();

@@ -56,7 +56,7 @@ pub use self::{
     },
     summary::{QUANTILES, Summary},
 };
-// The slow reference, with which tests of our other crates compare, too.
+// Tests of other crates compare with the slow reference.
 #[doc(hidden)]
 pub use render::reference;
 

@@ -32,9 +32,9 @@ impl StagedFolder {
         }
         // As for files: a link stays, and what it points to is replaced.
         let destination = destination(target);
-        let staged = beside(&destination, 0o777, |builder, parent| builder.tempdir_in(parent))
+        let lock = |staged: &tempfile::TempDir| File::open(staged).ok().filter(|folder| folder.lock().is_ok());
+        let (staged, lock) = beside(&destination, 0o777, |builder, parent| builder.tempdir_in(parent), lock)
             .map_err(Error::io(target, "cannot create the folder"))?;
-        let lock = File::open(staged.path()).ok().filter(|folder| folder.try_lock().is_ok());
         Ok(Self { staged, target: destination, _lock: lock })
     }
 
@@ -56,5 +56,28 @@ impl StagedFolder {
             .map_err(Error::io(&self.target, "cannot rename the finished folder"))?;
         self.staged.disable_cleanup(true);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A process that removes leftovers may find a folder between its creation and its lock.
+    #[test]
+    fn writers_of_one_folder_take_nothing_from_each_other() {
+        let parent = tempfile::tempdir().unwrap();
+        let target = parent.path().join("set");
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    for _ in 0..300 {
+                        let staged = StagedFolder::create(&target).unwrap();
+                        std::fs::write(staged.path().join("x"), "content").unwrap();
+                    }
+                });
+            }
+        });
+        assert_eq!(std::fs::read_dir(parent.path()).unwrap().count(), 0, "a part is left");
     }
 }

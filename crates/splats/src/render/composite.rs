@@ -50,10 +50,11 @@ impl SplatView<'_> {
         self.footprints[hit.footprint as usize].depth
     }
 
-    /// Depth at which half of the light that `hits` send is reached, scene units; 0 if they send none.
+    /// Depth at which half of the light of all `hits` is reached, scene units; 0 if there are none.
     #[must_use]
     pub fn half_depth(&self, hits: &Hits) -> f64 {
-        let half = 0.5 * hits.list.iter().map(Hit::weight).sum::<f64>();
+        // Σ w = 1 − T_end.
+        let half = 0.5 * (1.0 - hits.passed);
         let mut reached = 0.0;
         let at = hits.list.iter().find(|hit| {
             reached += hit.weight();
