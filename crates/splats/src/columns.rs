@@ -117,7 +117,20 @@ const KNOWN: [(Effect, &[&str]); 8] = [
     // Normals, colours beside the harmonics, labels, and columns of this crate and of editors.
     (
         Effect::None,
-        &["n?", "red", "green", "blue", "alpha", "uncertainty", "log10_uncertainty", "seen", "weight", "views"],
+        &[
+            "n?",
+            "red",
+            "green",
+            "blue",
+            "alpha",
+            "uncertainty",
+            "log10_uncertainty",
+            "seen",
+            "weight",
+            "views",
+            "front_share",
+            "octobayes_*",
+        ],
     ),
     (
         Effect::None,
@@ -261,6 +274,19 @@ pub(super) struct Layout {
     pub order: Vec<Field>,
     pub extras: Vec<Extra>,
     pub comments: Vec<String>,
+    pub packing: Packing,
+}
+
+/// How a file packed its numbers. It is packed in the same way when it is written in its own format.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) enum Packing {
+    /// It did not.
+    #[default]
+    None,
+    /// Splats that follow each other share ranges, and lie near each other: `.compressed.ply`.
+    Chunks,
+    /// `.spz`.
+    Spz { version: u32, fractional_bits: u8 },
 }
 
 impl Layout {
@@ -270,7 +296,7 @@ impl Layout {
         order.splice(3..3, (0..3).map(Field::Extra));
         let zeros = vec![0.0; count];
         let extras = ["nx", "ny", "nz"].map(|name| Extra::floats(name, &zeros)).to_vec();
-        Self { order, extras, comments: Vec::new() }
+        Self { order, extras, comments: Vec::new(), packing: Packing::None }
     }
 
     /// Takes out a property with this effect.

@@ -2,9 +2,9 @@
 //! (Kerbl, Kopanas, Leimkühler, Drettakis, "3D Gaussian Splatting", 2023).
 //!
 //! [`Splats`] has the parameters as training leaves them: logarithms of scales, logits of opacities, coefficients of
-//! spherical harmonics. [`Splats::read`] takes them from files, [`Splats::write_ply`] writes them back beside new
-//! columns. [`SplatRenderer`] draws the images of the original code, and differentiates them with respect to where
-//! splats are; with it splats are a [`Model`](octobayes::estimate::Model) like any other.
+//! spherical harmonics. [`Splats::read`] takes them from files, [`Splats::write`] writes them back, in
+//! any of the formats. [`SplatRenderer`] draws the images of the original code, and differentiates them with respect
+//! to where splats are; with it splats are a [`Model`](octobayes::estimate::Model) like any other.
 //!
 //! # Example
 //! ```
@@ -30,13 +30,12 @@
 #![cfg_attr(not(test), warn(clippy::print_stderr, clippy::print_stdout))]
 
 mod columns;
+mod files;
 mod mode;
 mod model;
-mod read;
 mod render;
 mod seen;
 mod summary;
-mod write;
 
 use glam::{Quat, Vec3};
 use octobayes::geometry::Aabb;
@@ -49,7 +48,7 @@ pub use self::seen::{IN_FRONT, MIN_SHARE, SeenSplats};
 // What only our own crates name.
 #[doc(hidden)]
 pub use self::{
-    read::refuse_checkpoint,
+    files::refuse_checkpoint,
     render::{
         FAINTEST, FRUSTUM_MARGIN, Footprint, Hit, Hits, MIN_TRANSMITTANCE, MOST_OPAQUE, NEAR, Projector, Shape,
         SplatView, boxed, middle,

@@ -5,6 +5,7 @@
 
 mod pack;
 mod turn;
+mod write;
 mod xxh64;
 
 use std::io::Read;
@@ -18,9 +19,12 @@ use ruzstd::decoding::StreamingDecoder;
 
 use self::turn::{STORED, Turn};
 use self::xxh64::xxh64;
+use super::super::columns::{Layout, Packing};
 use super::super::{RenderMode, Splats, coefficients};
 use super::raw::{Raw, logit};
 use octobayes::{Error, Result};
+
+pub(super) use self::write::write;
 
 /// What every file begins with once it is unpacked.
 const MAGIC: &[u8] = b"NGSP";
@@ -268,7 +272,9 @@ fn splats(path: &Path, header: &Header, body: &[u8], stored: u32) -> Result<Spla
         degree: header.degree,
         mode: if header.flags & ANTIALIASED == 0 { RenderMode::Classic } else { RenderMode::Mip },
     };
-    raw.finish(path, None, Vec::new())
+    let packing = Packing::Spz { version: header.version, fractional_bits: header.fractional_bits };
+    let layout = Layout { packing, ..Layout::original(header.degree, n) };
+    raw.finish(path, Some(layout), Vec::new())
 }
 
 #[cfg(test)]

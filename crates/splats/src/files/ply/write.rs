@@ -3,9 +3,9 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::columns::{Field, Layout};
-use super::read::{DILATION, MODE, place_of_rest};
-use super::{RenderMode, Splats, coefficients};
+use super::super::super::columns::{Field, Layout};
+use super::super::super::{RenderMode, Splats, coefficients};
+use super::{DILATION, MODE, place_of_rest};
 use octobayes::io::AtomicFile;
 use octobayes::{Error, Result};
 
@@ -44,23 +44,30 @@ impl Splats {
             }
             layout.append(name, values, self.len())?;
         }
-        layout.comments.retain(|comment| !comment.starts_with(OWN));
+        layout.comments = self.comments_with(comments)?;
+        Ok(layout)
+    }
+
+    /// The comments that were read, the render mode, and new ones.
+    pub(in super::super) fn comments_with(&self, comments: &[String]) -> Result<Vec<String>> {
+        let mut all = self.layout.comments.clone();
+        all.retain(|comment| !comment.starts_with(OWN));
         let mode = match self.mode {
             RenderMode::Classic => "default",
             RenderMode::Mip | RenderMode::MipSplatting => "mip",
         };
-        layout.comments.push(format!("{MODE} {mode}"));
+        all.push(format!("{MODE} {mode}"));
         if self.mode == RenderMode::MipSplatting {
-            layout.comments.push(format!("{DILATION} {}", self.mode.dilation()));
+            all.push(format!("{DILATION} {}", self.mode.dilation()));
         }
         for comment in comments {
             if comment.contains(char::is_control) {
                 return Err(Error::setting("comment", "one line of text", format!("`{comment}`")));
             }
             let own = if comment.starts_with(OWN) { "" } else { OWN };
-            layout.comments.push(format!("{own}{comment}"));
+            all.push(format!("{own}{comment}"));
         }
-        Ok(layout)
+        Ok(all)
     }
 
     /// Appends the number of splat `i` that a field means.

@@ -1,13 +1,15 @@
 //! `.splat`: 32 bytes a splat, as antimatter15's viewer reads them. Colours have no direction and 8 bits.
 
+use std::io::Write;
 use std::path::Path;
 
 use glam::{Vec3, Vec4};
 
 use super::super::columns::Scalar;
 use super::super::{RenderMode, Splats};
-use super::constant_of;
 use super::raw::{Raw, logit};
+use super::{byte_of, color_of, constant_of};
+use octobayes::io::AtomicFile;
 use octobayes::{Error, Result};
 
 /// Mean and scales as f32, colour and opacity, rotation.
@@ -40,6 +42,24 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats> {
         raw.rotations.push(Vec4::new(x, y, z, w));
     }
     raw.finish(path, None, Vec::new())
+}
+
+/// Writes splats without what depends on the direction.
+pub(super) fn write(splats: &Splats, path: &Path) -> Result<()> {
+    let mut bytes = Vec::with_capacity(SIZE * splats.len());
+    for i in 0..splats.len() {
+        let numbers = splats.mean(i).to_array().into_iter().chain(splats.scale(i).to_array());
+        bytes.extend(numbers.flat_map(f32::to_le_bytes));
+        bytes.extend(color_of(splats.sh(i)).to_array().map(byte_of));
+        bytes.push(byte_of(splats.opacity(i)));
+        let q = splats.rotation(i);
+        // 255 would be short of 1 by more than the half of a step, −1 has a byte.
+        let sign = if q.to_array().iter().any(|v| v * 128.0 > 127.5) { -1.0 } else { 1.0 };
+        bytes.extend([q.w, q.x, q.y, q.z].map(|v| (sign * v * 128.0 + 128.0).round().clamp(0.0, 255.0) as u8));
+    }
+    let mut file = AtomicFile::create(path)?;
+    file.write_all(&bytes).map_err(Error::io(path, "cannot write"))?;
+    file.commit()
 }
 
 #[cfg(test)]

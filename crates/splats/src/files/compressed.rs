@@ -1,16 +1,20 @@
 //! `.compressed.ply` of PlayCanvas: splats in chunks of 256, each number within the range of its chunk.
 
+mod write;
+
 use std::path::Path;
 
 use glam::{Vec3, Vec4};
 
-use super::super::columns::Scalar;
+use super::super::columns::{Layout, Packing, Scalar};
 use super::super::{RenderMode, Splats, coefficients};
 use super::constant_of;
 use super::header::{Element, OF_SPLATS, Ply, Property};
 use super::ply::place_of_rest;
 use super::raw::{Raw, logit};
 use octobayes::{Error, Result};
+
+pub(super) use self::write::write;
 
 /// Splats of a chunk.
 const CHUNK: usize = 256;
@@ -129,7 +133,8 @@ pub(super) fn read(path: &Path, ply: &Ply, mode: RenderMode) -> Result<Splats> {
             raw.sh[i * 3 * k + place_of_rest(entry, k)] = coefficient(byte);
         }
     }
-    let splats = raw.finish(path, None, Vec::new())?;
+    let layout = Layout { packing: Packing::Chunks, ..Layout::original(degree, n) };
+    let splats = raw.finish(path, Some(layout), Vec::new())?;
     Ok(splats.with_comments(ply.comments.clone()))
 }
 

@@ -41,6 +41,41 @@ pub(super) fn smallest_three(bytes: [u8; 4]) -> Vec4 {
     Vec4::from_array(q)
 }
 
+/// The nearest whole number of 24 bits with its sign.
+pub(super) fn to_fixed(value: f64) -> [u8; 3] {
+    let most = f64::from((1 << 23) - 1);
+    let [a, b, c, _] = (value.round().clamp(-most - 1.0, most) as i32).to_le_bytes();
+    [a, b, c]
+}
+
+/// The byte of a constant coefficient.
+pub(super) fn to_constant(value: f32) -> u8 {
+    ((value * 0.15 + 0.5) * 255.0).round().clamp(0.0, 255.0) as u8
+}
+
+/// The byte of a higher coefficient, a multiple of `step`.
+pub(super) fn to_coefficient(value: f32, step: u8) -> u8 {
+    let (step, byte) = (f32::from(step), value * 128.0 + 128.0);
+    ((byte / step).round() * step).clamp(0.0, 255.0) as u8
+}
+
+/// The three bytes of a rotation (x, y, z, w) in versions 1 and 2.
+pub(super) fn to_first_three(q: Vec4) -> [u8; 3] {
+    let q = if q.w < 0.0 { -q } else { q };
+    [q.x, q.y, q.z].map(|v| ((v + 1.0) * 127.5).round().clamp(0.0, 255.0) as u8)
+}
+
+/// The four bytes of a rotation (x, y, z, w) from version 3 on.
+pub(super) fn to_smallest_three(q: Vec4) -> [u8; 4] {
+    let largest = (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
+    let word = (0..4).filter(|i| *i != largest).fold(largest as u32, |word, i| {
+        let is_negative = (q[i] < 0.0) != (q[largest] < 0.0);
+        let size = (q[i].abs() / FRAC_1_SQRT_2 * 511.0).round().min(511.0) as u32;
+        word << 10 | u32::from(is_negative) << 9 | size
+    });
+    word.to_le_bytes()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

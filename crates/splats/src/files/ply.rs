@@ -1,10 +1,12 @@
 //! `.ply` of the original code, with any properties in any order.
 
+mod write;
+
 use std::path::Path;
 
 use glam::{Vec3, Vec4};
 
-use super::super::columns::{Effect, Extra, Field, Layout, Scalar};
+use super::super::columns::{Effect, Extra, Field, Layout, Packing, Scalar};
 use super::super::{RenderMode, Splats, coefficients};
 use super::header::{Element, Ply, Property, parse};
 use super::raw::Raw;
@@ -12,9 +14,9 @@ use super::{compressed, constant_of};
 use octobayes::{Error, Result};
 
 /// The header's comment that states the [`RenderMode`].
-pub(crate) const MODE: &str = "SplatRenderMode:";
+const MODE: &str = "SplatRenderMode:";
 /// The header's comment beside mode `mip` that states by which variance splats grow, if it is not 0.3 px².
-pub(crate) const DILATION: &str = "SplatDilation:";
+const DILATION: &str = "SplatDilation:";
 /// The same of Postshot: 1 for mip, 0 for classic.
 const ANTIALIASED: &str = "antialiased";
 /// What CloudCompare puts before the names of properties that it does not know, once more whenever it saves a file.
@@ -148,7 +150,7 @@ fn layout(path: &Path, vertex: &Element, comments: Vec<String>) -> Result<(Layou
         };
         return Err(Error::malformed(path, "header", format!("a property `{name}`{hint}"), names.join(" ")));
     }
-    Ok((Layout { order, extras, comments }, degree))
+    Ok((Layout { order, extras, comments, packing: Packing::None }, degree))
 }
 
 /// The parameters of all rows.
@@ -202,7 +204,7 @@ fn color(path: &Path, property: &Property, i: usize, number: f64) -> Result<f64>
 }
 
 /// Where `f_rest_[entry]` belongs among the `3 k` coefficients of a splat.
-pub(crate) const fn place_of_rest(entry: usize, k: usize) -> usize {
+pub(super) const fn place_of_rest(entry: usize, k: usize) -> usize {
     let (channel, higher) = (entry / (k - 1), entry % (k - 1));
     3 * (1 + higher) + channel
 }
