@@ -5,7 +5,7 @@ use octobayes::{Error, Result};
 use octobayes_data::Hemisphere;
 use octobayes_synth::{Mesh, MeshScene, Up};
 
-use common::program::Program;
+use crate::program::Program;
 
 /// A mesh of the data folder and the axis of its file that points up.
 pub const MESHES: [(&str, Up); 4] =

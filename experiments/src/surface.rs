@@ -5,7 +5,7 @@ use octobayes::geometry::Camera;
 use octobayes_synth::{GROUND_RADIUS, HALF_HEIGHT, MeshScene};
 use rayon::prelude::*;
 
-use common::visibility::is_seen;
+use crate::visibility::is_seen;
 
 /// Where a point is in the true scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -21,6 +21,7 @@ pub enum Place {
 }
 
 /// Where points are. What is nearer to a surface than `slack` is at it.
+#[must_use]
 pub fn places(scene: &MeshScene, points: &[DVec3], slack: f64) -> Vec<Place> {
     let distances = distances(scene, points);
     let place = |(x, distance): (&DVec3, f64)| match () {
@@ -114,6 +115,7 @@ impl Face {
 }
 
 /// Number of cameras that see each point: nothing stands more than `slack` in front of it.
+#[must_use]
 pub fn sightings(scene: &MeshScene, cameras: &[Camera], points: &[DVec3], slack: f64) -> Vec<usize> {
     points.par_iter().map(|&x| cameras.iter().filter(|camera| is_seen(scene, camera, x, slack)).count()).collect()
 }

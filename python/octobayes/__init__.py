@@ -28,6 +28,7 @@ from ._api import (
     uncertainty,
 )
 from ._autodiff import jax_field, torch_field
+from ._clean import Cleaned, clean
 from ._export import export
 from ._model import Model
 from ._octobayes import __version__
@@ -36,12 +37,14 @@ from ._splats import Splats
 from ._uncertainty import Uncertainty
 
 __all__ = [
+    "Cleaned",
     "Model",
     "Splats",
     "Uncertainty",
     "__version__",
     "accumulate",
     "calibrate",
+    "clean",
     "compare",
     "evaluate",
     "export",

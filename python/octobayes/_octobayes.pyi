@@ -169,6 +169,12 @@ def seen_splats(
 ) -> tuple[Doubles, NDArray[np.uint32], Doubles]:
     """weight [n], views [n], front_share [n]."""
 
+def clean_splats(
+    splats: Splats, rows: Doubles, pixel_offset: float, pixels: int, progress: Progress | None
+) -> dict[str, Any]:
+    """reason, strength uint8 [n], score, front_share, weight [n], views uint32 [n]."""
+
+def write_kept_splats(splats: Splats, kept: Sequence[bool], path: str) -> None: ...
 def export_splats(
     splats: Splats,
     field: Uncertainty,

@@ -38,6 +38,8 @@ fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(export::export_field, module)?)?;
     module.add_function(wrap_pyfunction!(export::export_surfaces, module)?)?;
     module.add_function(wrap_pyfunction!(splats::seen_splats, module)?)?;
+    module.add_function(wrap_pyfunction!(splats::clean_splats, module)?)?;
+    module.add_function(wrap_pyfunction!(splats::write_kept_splats, module)?)?;
     module.add_function(wrap_pyfunction!(splats::export_splats, module)?)?;
     module.add_function(wrap_pyfunction!(view::render, module)?)?;
     module.add_function(wrap_pyfunction!(judge::evaluate, module)?)?;

@@ -8,6 +8,7 @@ use octobayes::posterior::{Covariance, Criterion};
 use octobayes::rays::Pixels;
 use octobayes::render::RayAverage;
 use octobayes::uncertainty::Comparison;
+use octobayes_clean::{Clean, Reason, Strength};
 use octobayes_data::OfficialGrid;
 use octobayes_data::{Selection, rigid_pose};
 use octobayes_evaluation::{DepthFiles, Evaluation};
@@ -198,6 +199,10 @@ pub fn defaults() -> String {
         "ray_average": RayAverage::default(),
         "depth_pattern": DepthFiles::PATTERN,
         "pixels": Surfaces::PIXELS,
+        "clean_pixels": Clean::PIXELS,
+        "clean_strength": Strength::default(),
+        "clean_strengths": Strength::ALL,
+        "clean_reasons": Reason::ALL,
         "cells": mesh.resolution,
         "points": Comparison::POINTS,
         "stride": Evaluation::STRIDE,

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use octobayes::{Error, Result};
+use octobayes_clean::{Clean, Removal};
 use octobayes_session::OpenedModel;
 use octobayes_show::export::write_splats;
 use octobayes_splats::{RenderMode, SeenSplats, SplatRenderer, Splats as Gaussians};
@@ -179,6 +180,44 @@ pub fn seen_splats<'py>(
     })?;
     let [weights, front] = [seen.weights, seen.front].map(|values| PyArray1::from_vec(py, values));
     Ok((weights, PyArray1::from_vec(py, seen.views), front))
+}
+
+/// Why each splat goes, `[n]`: 0 stays, else the number of its reason; at which strength, `[n]`: 0 stays, else its number
+/// from 1; and what speaks against it and what the views show of it.
+#[pyfunction]
+pub fn clean_splats<'py>(
+    py: Python<'py>,
+    splats: &Bound<'py, Splats>,
+    rows: PyReadonlyArray2<'py, f64>,
+    pixel_offset: f64,
+    pixels: u64,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let (splats, rows) = (splats.get().0.clone(), cameras(&rows)?);
+    let (cleaned, shares) = work(py, None, progress, |engine| {
+        let splats = splats.splats();
+        let clean = Clean::new(splats, &rows).pixel_offset(pixel_offset).pixels(pixels).monitor(engine.monitor());
+        let cleaned = clean.run()?;
+        let shares: Vec<f64> = (0..splats.len()).map(|i| cleaned.evidence.front_share(i)).collect();
+        Ok((cleaned, shares))
+    })?;
+    let of = |value: fn(&Removal) -> u8| -> Vec<u8> {
+        cleaned.removals.iter().map(|removal| removal.as_ref().map_or(0, |removal| 1 + value(removal))).collect()
+    };
+    let columns = PyDict::new(py);
+    columns.set_item("reason", PyArray1::from_vec(py, of(|removal| removal.reason as u8)))?;
+    columns.set_item("strength", PyArray1::from_vec(py, of(|removal| removal.strength as u8)))?;
+    columns.set_item("score", PyArray1::from_vec(py, cleaned.scores))?;
+    columns.set_item("front_share", PyArray1::from_vec(py, shares))?;
+    columns.set_item("weight", PyArray1::from_vec(py, cleaned.evidence.weight))?;
+    columns.set_item("views", PyArray1::from_vec(py, cleaned.evidence.views))?;
+    Ok(columns)
+}
+
+/// Writes the splats for which `kept` is true, in the format of the path's extension.
+#[pyfunction]
+pub fn write_kept_splats(splats: &Bound<'_, Splats>, kept: Vec<bool>, path: PathBuf) -> PyResult<()> {
+    splats.get().0.splats().clone().keep(&kept).or_raise()?.write(&path).or_raise()
 }
 
 /// Writes the splats with their uncertainty; with cameras, what these show of them as well.

@@ -14,6 +14,7 @@ macro_rules! announce {
     ($($arg:tt)*) => { crate::streams::announce(format_args!($($arg)*)) };
 }
 
+mod clean;
 mod compare;
 mod completions;
 mod demo;
@@ -79,6 +80,8 @@ enum Verb {
     Demo(demo::Args),
     // Boxed: it has the most options.
     Uncertainty(Box<uncertainty::Args>),
+    // Boxed: it has many options.
+    Clean(Box<clean::Args>),
     Query(query::Args),
     Compare(compare::Args),
     Render(render::Args),
@@ -151,6 +154,7 @@ fn run(verb: Verb, given: &Given) -> Result<()> {
     match verb {
         Verb::Demo(args) => args.run(bars),
         Verb::Uncertainty(args) => args.run(given, bars),
+        Verb::Clean(args) => args.run(bars),
         Verb::Query(args) => args.run(bars),
         Verb::Compare(args) => args.run(),
         Verb::Render(args) => args.run(bars),

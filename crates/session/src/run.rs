@@ -87,6 +87,19 @@ pub struct Prepared<'a> {
     images: Option<ImageCheck>,
 }
 
+/// Training views that were checked against the model.
+#[derive(Debug, Clone, Copy)]
+pub struct TrainingViews<'a> {
+    /// The cameras.
+    pub cameras: &'a [Camera],
+    /// Which pixels of each count, `[cameras]`, if not all.
+    pub masks: &'a [Option<Mask>],
+    /// Where the ray of a pixel lies in it, pixels.
+    pub pixel_offset: f64,
+    /// What lay behind the model in training.
+    pub background: Vec3,
+}
+
 impl Session {
     /// A run over the training pixels of `views`, with default settings. Reads the frames' masks. `source` says for
     /// people what model and cameras are.
@@ -295,7 +308,7 @@ impl Session {
     }
 }
 
-impl Prepared<'_> {
+impl<'a> Prepared<'a> {
     /// Compares the model with the images beside the cameras. Refuses cameras whose images it does not show at all,
     /// unless forced. Warns if it shows them poorly, and of splats that may lie in another frame, unless images speak
     /// against that or the message was sent already. Notes how well splats show them.
@@ -336,6 +349,15 @@ impl Prepared<'_> {
             .pixel_offset(of_run.pixel_offset);
         let renderer = self.model.for_images(&settings, None, self.monitor)?;
         images.compare(&*renderer, settings.offset_for(self.model), self.run.lattice(), self.monitor).map(Some)
+    }
+
+    /// The training views as the run takes them.
+    #[must_use]
+    pub fn training_views(&self) -> TrainingViews<'a> {
+        let Session { cameras, masks, .. } = self.session;
+        let stream = self.run.stream();
+        let background = stream.source.background().as_vec3();
+        TrainingViews { cameras, masks, pixel_offset: stream.pixel_offset, background }
     }
 
     /// Whether the number of rays is known beforehand.

@@ -10,6 +10,7 @@ mod beside;
 mod bounds;
 mod camera_files;
 mod cameras;
+mod clean;
 mod clusters;
 mod depth_maps;
 mod evaluate;

@@ -35,12 +35,12 @@ fn scaled_ball(scale: f32, away: impl Fn(usize) -> f32) -> Splats {
     splats.unwrap()
 }
 
-fn ball(away: impl Fn(usize) -> f32) -> Splats {
+pub fn ball(away: impl Fn(usize) -> f32) -> Splats {
     scaled_ball(1.0, away)
 }
 
 /// Cameras at these angles around the vertical axis.
-fn around(distance: f64, angles: impl Iterator<Item = f64>) -> Vec<(String, Camera)> {
+pub fn around(distance: f64, angles: impl Iterator<Item = f64>) -> Vec<(String, Camera)> {
     let camera = |(i, angle): (usize, f64)| {
         let eye = distance * DVec3::new(angle.cos(), angle.sin(), 0.23);
         (format!("r_{i:02}"), Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.8, [48, 40]))

@@ -22,9 +22,9 @@ use rand::{RngExt, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use crate::blocks::Index;
-use crate::scene::{self, MESHES, SIDES};
 use crate::scores::{self, LEVEL, NAMES};
-use crate::surface;
+use common::meshes::{self, MESHES, SIDES};
+use common::surface;
 use common::table::{Table, mean};
 use common::work::Work;
 
@@ -113,8 +113,8 @@ pub fn tables(work: &Work) -> Result<String> {
 }
 
 fn measure(mesh: &str, up: Up) -> Result<Row> {
-    let truth = scene::read(mesh, up)?;
-    let length = scene::length(&truth);
+    let truth = meshes::read(mesh, up)?;
+    let length = meshes::length(&truth);
     let discs = Discs::new(&truth);
     let cameras = viewpoints(VIEWS, SIDES[0].1, [SIDE; 2], 0);
     let images = discs.images(&discs.centres, &cameras)?;

@@ -8,10 +8,8 @@
 mod blocks;
 mod depth;
 mod discs;
-mod scene;
 mod scores;
 mod speed;
-mod surface;
 mod trained;
 
 use octobayes::Result;

@@ -12,13 +12,12 @@ use octobayes::uncertainty::DepthPosterior;
 use octobayes_splats::{SeenSplats, SplatRenderer, Splats};
 use rayon::prelude::*;
 
+use common::isolation::isolation;
+
 use crate::blocks::{Blocks, Sums, trace};
 
 /// Level of the field.
 pub const LEVEL: u8 = 7;
-/// Neighbours to whose distance a splat's isolation is measured.
-const NEIGHBOURS: usize = 8;
-
 /// Names of the scores of [`all`], in its order.
 pub const NAMES: [&str; 14] = [
     "U along the normal",
@@ -88,16 +87,4 @@ fn along(posterior: &DepthPosterior, splats: &Splats, i: usize, direction: DVec3
 fn normal_of(blocks: &Blocks, splats: &Splats, i: usize) -> f64 {
     let n = normal(splats, i);
     n.dot(blocks.covariance[i] * n).sqrt()
-}
-
-/// Mean distance of each splat's nearest neighbours, scene units.
-fn isolation(splats: &Splats) -> Vec<f64> {
-    let of = |x: &glam::Vec3| {
-        let mut distances: Vec<f32> = splats.means().iter().map(|y| x.distance_squared(*y)).collect();
-        let near = NEIGHBOURS.min(distances.len() - 1);
-        distances.select_nth_unstable_by(near, f32::total_cmp);
-        // The splat itself is at distance 0.
-        distances[..=near].iter().map(|d| f64::from(d.sqrt())).sum::<f64>() / near.max(1) as f64
-    };
-    splats.means().par_iter().map(of).collect()
 }

@@ -9,9 +9,9 @@ use octobayes_synth::{DatasetSettings, write_dataset};
 use octobayes_train::{DatasetFiles, SplatSettings, SplatTrainer, Training};
 use serde::{Deserialize, Serialize};
 
-use crate::scene::{self, MESHES, SIDES};
 use crate::scores::{self, LEVEL, NAMES};
-use crate::surface::{self, Place};
+use common::meshes::{self, MESHES, SIDES};
+use common::surface::{self, Place};
 use common::table::{Table, mean};
 use common::work::Work;
 
@@ -97,8 +97,8 @@ pub fn tables(work: &Work) -> Result<String> {
 }
 
 fn measure(mesh: &str, settings: &DatasetSettings) -> Result<Row> {
-    let folder = scene::folder()?;
-    write_dataset(&scene::file(mesh)?, folder.path(), settings, &Silent)?;
+    let folder = meshes::folder()?;
+    write_dataset(&meshes::file(mesh)?, folder.path(), settings, &Silent)?;
     let files = DatasetFiles::read(folder.path())?;
     let [shots, _] = files.load(&Silent)?;
     let most = SplatSettings::most_for(&shots);
@@ -111,8 +111,8 @@ fn measure(mesh: &str, settings: &DatasetSettings) -> Result<Row> {
     let splats = trainer.splats()?;
     let cameras: Vec<_> = shots.iter().map(|shot| shot.camera).collect();
 
-    let truth = scene::read(mesh, settings.up)?;
-    let length = scene::length(&truth);
+    let truth = meshes::read(mesh, settings.up)?;
+    let length = meshes::length(&truth);
     let centres: Vec<DVec3> = splats.means().iter().map(|x| x.as_dvec3()).collect();
     let places = surface::places(&truth, &centres, SLACK * length);
     let judged: Vec<usize> = (0..splats.len()).filter(|&i| places[i] != Place::Elsewhere).collect();

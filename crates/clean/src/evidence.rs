@@ -1,0 +1,237 @@
+//! What training views show of each splat, and where it stands to the surfaces that they show.
+
+use glam::{DVec3, Vec3};
+use octobayes::geometry::Camera;
+use rayon::prelude::*;
+
+use crate::views::{Listed, ListedRow, ListedView};
+
+/// A splat is nearer than a surface if it is so by more than this part of the surface's depth.
+const SLACK: f64 = 0.01;
+/// A pixel that shows less light than this shows empty space.
+const EMPTY: f64 = 0.5;
+/// Least weight in a view by which it can contradict a splat.
+const LEAST: f64 = 1e-3;
+/// A view shows a splat if the splat's share of one of its pixels exceeds this.
+const SHOWN: f64 = 0.05;
+/// Pixels, in steps of those that are looked at, to either side of a centre's.
+const WINDOW: i64 = 1;
+
+/// What the views show of each of n splats; every list is `[n]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evidence {
+    /// Σ w, the splat's share of a pixel, over the pixels that were looked at.
+    pub weight: Vec<f64>,
+    /// The part of it that is nearer than the surface of its pixel.
+    pub front: Vec<f64>,
+    /// The part of it in pixels that show empty space: less than half of their light is reached.
+    pub empty: Vec<f64>,
+    /// Views in which more than half of the splat's weight is nearer than surfaces.
+    pub against: Vec<u32>,
+    /// The largest w.
+    pub peak: Vec<f32>,
+    /// Views with a w above 0.05.
+    pub views: Vec<u32>,
+    /// Views whose image the centre is in.
+    pub inside: Vec<u32>,
+    /// Views in which the centre is nearer than every surface within a pixel of it, or they show empty space.
+    pub before: Vec<u32>,
+    /// Views in which the centre is at the surface: neither nearer than all of these nor farther.
+    pub on: Vec<u32>,
+}
+
+impl Evidence {
+    /// What the views show of the splats at `means` that are `kept` (`[n]`), without the others.
+    pub(crate) fn of(views: &[ListedView], means: &[Vec3], kept: &[bool]) -> Self {
+        let mut sums = vec![Sums::default(); means.len()];
+        views.iter().for_each(|view| add(&mut sums, view, means, kept));
+        let each = |value: fn(&Sums) -> f64| sums.iter().map(value).collect();
+        let count = |value: fn(&Sums) -> u32| sums.iter().map(value).collect();
+        Self {
+            weight: each(|sums| sums.weight),
+            front: each(|sums| sums.front),
+            empty: each(|sums| sums.empty),
+            against: count(|sums| sums.against),
+            peak: sums.iter().map(|sums| sums.peak).collect(),
+            views: count(|sums| sums.views),
+            inside: count(|sums| sums.inside),
+            before: count(|sums| sums.before),
+            on: count(|sums| sums.on),
+        }
+    }
+
+    /// The part of splat `i`'s weight that is nearer than the surfaces of its pixels; 0 without weight.
+    ///
+    /// The part in pixels that show empty space counts as well if there is a view in which most of the weight is nearer
+    /// than surfaces: alone, it may be the rim of an object, or one with holes.
+    #[must_use]
+    pub fn front_share(&self, i: usize) -> f64 {
+        if self.against[i] > 0 { self.free_share(i) } else { self.share(i, self.front[i]) }
+    }
+
+    /// The part of splat `i`'s weight that is nearer than surfaces or in pixels that show empty space; 0 without weight.
+    #[must_use]
+    pub fn free_share(&self, i: usize) -> f64 {
+        self.share(i, self.front[i] + self.empty[i])
+    }
+
+    fn share(&self, i: usize, part: f64) -> f64 {
+        if self.weight[i] > 0.0 { part / self.weight[i] } else { 0.0 }
+    }
+}
+
+/// Adds what a view shows.
+fn add(sums: &mut [Sums], view: &ListedView, means: &[Vec3], kept: &[bool]) {
+    let of_row = |row: &ListedRow| {
+        let (mut shares, mut depths) = (Vec::new(), Vec::new());
+        row.pixels().for_each(|pixel| depths.push(pixel.map_or(f32::NAN, |hits| composite(hits, kept, &mut shares))));
+        (shares, depths)
+    };
+    let (shares, depths): (Vec<Vec<Share>>, Vec<Vec<f32>>) = view.rows.par_iter().map(of_row).unzip();
+    // Rows in their order, so that sums do not depend on threads.
+    for Share { splat, weight, place } in shares.iter().flatten() {
+        let (found, weight) = (&mut sums[*splat as usize].now, f64::from(*weight));
+        found.weight += weight;
+        found.peak = found.peak.max(weight as f32);
+        match place {
+            Place::Front => found.front += weight,
+            Place::Empty => found.empty += weight,
+            Place::Surface => {}
+        }
+    }
+    let map = DepthMap { depths, start: view.start, stride: view.stride };
+    let finish = |((sums, x), kept): ((&mut Sums, &Vec3), &bool)| {
+        if *kept {
+            sums.end_view(map.stand(&view.camera, x.as_dvec3()));
+        }
+    };
+    sums.par_iter_mut().zip(means).zip(kept).with_min_len(4096).for_each(finish);
+}
+
+/// Sums over the pixels of one view.
+#[derive(Clone, Default)]
+struct OfView {
+    weight: f64,
+    front: f64,
+    empty: f64,
+    peak: f32,
+}
+
+/// What the views show of one splat; see [`Evidence`].
+#[derive(Clone, Default)]
+struct Sums {
+    /// Of the view that is being looked at.
+    now: OfView,
+    weight: f64,
+    front: f64,
+    empty: f64,
+    peak: f32,
+    against: u32,
+    views: u32,
+    inside: u32,
+    before: u32,
+    on: u32,
+}
+
+impl Sums {
+    fn end_view(&mut self, stand: Option<Stand>) {
+        let OfView { weight, front, empty, peak } = std::mem::take(&mut self.now);
+        self.weight += weight;
+        self.front += front;
+        self.empty += empty;
+        self.peak = self.peak.max(peak);
+        self.views += u32::from(f64::from(peak) > SHOWN);
+        self.against += u32::from(weight > LEAST && front > 0.5 * weight);
+        self.inside += u32::from(stand.is_some());
+        self.before += u32::from(stand == Some(Stand::Before));
+        self.on += u32::from(stand == Some(Stand::On));
+    }
+}
+
+/// A splat's part of a pixel.
+struct Share {
+    splat: u32,
+    weight: f32,
+    place: Place,
+}
+
+/// Where a splat is in a pixel.
+enum Place {
+    /// Nearer than its surface.
+    Front,
+    Surface,
+    /// There is none.
+    Empty,
+}
+
+/// Appends the shares of a pixel, and returns the depth of its surface: where half of the light is reached that comes
+/// from any splat, or infinity if that is little.
+fn composite(hits: &[Listed], kept: &[bool], shares: &mut Vec<Share>) -> f32 {
+    let all = || hits.iter().filter(|hit| kept[hit.splat as usize]);
+    let passed: f64 = all().map(|hit| 1.0 - f64::from(hit.alpha)).product();
+    let (mut surface, mut transmittance, first) = (f32::INFINITY, 1.0, shares.len());
+    for hit in all() {
+        let weight = transmittance * f64::from(hit.alpha);
+        transmittance -= weight;
+        if surface.is_infinite() && 1.0 - passed >= EMPTY && 1.0 - transmittance >= 0.5 * (1.0 - passed) {
+            surface = hit.depth;
+        }
+        shares.push(Share { splat: hit.splat, weight: weight as f32, place: Place::Empty });
+    }
+    if surface.is_finite() {
+        let nearer = (1.0 - SLACK) * f64::from(surface);
+        for (share, hit) in shares[first..].iter_mut().zip(all()) {
+            share.place = if f64::from(hit.depth) < nearer { Place::Front } else { Place::Surface };
+        }
+    }
+    surface
+}
+
+/// Depths of the surfaces of an image's pixels.
+struct DepthMap {
+    /// By row and column of the pixels that were looked at; infinite where they show empty space, NaN where the mask
+    /// leaves one out.
+    depths: Vec<Vec<f32>>,
+    start: u32,
+    stride: u32,
+}
+
+/// Where a centre stands to the surfaces around it.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stand {
+    Before,
+    On,
+    Behind,
+}
+
+/// Where a camera's image shows a point, pixels, and its depth; `None` outside the image.
+pub(crate) fn seen_at(camera: &Camera, x: DVec3) -> Option<([f64; 2], f64)> {
+    let (at, depth) = camera.project(x)?;
+    let is_inside = at.iter().zip(camera.resolution).all(|(v, side)| *v >= 0.0 && *v < f64::from(side));
+    is_inside.then_some((at, depth))
+}
+
+impl DepthMap {
+    /// `None` outside the image, and where the mask leaves all pixels out.
+    fn stand(&self, camera: &Camera, x: DVec3) -> Option<Stand> {
+        let (at, depth) = seen_at(camera, x)?;
+        let middle = at.map(|v| (v as i64 - i64::from(self.start)).div_euclid(i64::from(self.stride)));
+        let (mut nearest, mut farthest, mut count) = (f64::INFINITY, f64::NEG_INFINITY, 0);
+        for row in middle[1] - WINDOW..=middle[1] + WINDOW {
+            for column in middle[0] - WINDOW..=middle[0] + WINDOW {
+                let place = usize::try_from(row).ok().zip(usize::try_from(column).ok());
+                let depth = place.and_then(|(row, column)| self.depths.get(row)?.get(column));
+                let Some(depth) = depth.filter(|depth| !depth.is_nan()).map(|depth| f64::from(*depth)) else {
+                    continue;
+                };
+                (nearest, farthest, count) = (nearest.min(depth), farthest.max(depth), count + 1);
+            }
+        }
+        match () {
+            () if count == 0 => None,
+            () if depth < (1.0 - SLACK) * nearest => Some(Stand::Before),
+            () if depth <= (1.0 + SLACK) * farthest => Some(Stand::On),
+            () => Some(Stand::Behind),
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! What pixels of training views show, listed once: the splats can then be looked at without some of them at once.
+
+use octobayes::Result;
+use octobayes::geometry::{Camera, Mask};
+use octobayes::monitor::{Monitor, check};
+use octobayes::render::Outputs;
+use octobayes_splats::{Hits, SplatRenderer, SplatView};
+use rayon::prelude::*;
+
+/// Which pixels of training views are looked at.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Views<'a> {
+    pub cameras: &'a [Camera],
+    /// Which pixels count, `[cameras]`, or none for all.
+    pub masks: &'a [Option<Mask>],
+    /// The place of a pixel's ray in it, pixels.
+    pub pixel_offset: f64,
+    /// One of so many pixels along each side.
+    pub stride: u32,
+    /// One of so many views.
+    pub every: usize,
+}
+
+/// A splat that a pixel shows.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Listed {
+    pub splat: u32,
+    /// α.
+    pub alpha: f32,
+    /// Along the view axis, scene units.
+    pub depth: f32,
+}
+
+/// The splats of some pixels of a view.
+pub(crate) struct ListedView {
+    pub camera: Camera,
+    /// The first row and column, and how far it is to the next ones.
+    pub start: u32,
+    pub stride: u32,
+    /// By row: of every column the splats front to back, or `None` where the mask leaves the pixel out.
+    pub rows: Vec<ListedRow>,
+}
+
+/// A row of pixels.
+#[derive(Default)]
+pub(crate) struct ListedRow {
+    hits: Vec<Listed>,
+    /// Where each pixel's splats end; the next one's begin there.
+    ends: Vec<u32>,
+    is_masked: Vec<bool>,
+}
+
+impl ListedRow {
+    /// The splats of every column, front to back; `None` where the mask leaves it out.
+    pub fn pixels(&self) -> impl Iterator<Item = Option<&[Listed]>> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        let ranges = starts.zip(&self.ends).map(|(start, &end)| &self.hits[start as usize..end as usize]);
+        ranges.zip(&self.is_masked).map(|(hits, is_masked)| (!is_masked).then_some(hits))
+    }
+}
+
+impl Views<'_> {
+    /// Lists what the views show. Takes 12 bytes a splat and pixel.
+    pub fn list(&self, renderer: &SplatRenderer, monitor: &dyn Monitor) -> Result<Vec<ListedView>> {
+        let chosen: Vec<usize> = (0..self.cameras.len()).step_by(self.every).collect();
+        monitor.begin("training views", chosen.len() as u64);
+        let list = |i: usize| {
+            check(monitor)?;
+            let mask = self.masks.get(i).and_then(Option::as_ref);
+            let view = self.view(&renderer.prepare(&self.cameras[i], Outputs::Colors), mask);
+            monitor.advance(1);
+            Ok(view)
+        };
+        let views = chosen.into_iter().map(list).collect();
+        monitor.end();
+        views
+    }
+
+    /// The cameras whose views are left out.
+    pub fn others(&self) -> impl Iterator<Item = &Camera> {
+        self.cameras.iter().enumerate().filter(|(i, _)| i % self.every != 0).map(|(_, camera)| camera)
+    }
+
+    fn view(&self, view: &SplatView, mask: Option<&Mask>) -> ListedView {
+        let [width, height] = view.camera().resolution;
+        let start = (self.stride / 2).min(width - 1).min(height - 1);
+        let along = |side: u32| (start..side).step_by(self.stride as usize);
+        let of_row = |row: u32| {
+            let (mut hits, mut listed) = (Hits::default(), ListedRow::default());
+            for column in along(width) {
+                let is_masked = mask.is_some_and(|mask| !mask.keeps(column, row));
+                if !is_masked {
+                    view.hits([column, row].map(|i| f64::from(i) + self.pixel_offset), &mut hits);
+                    listed.hits.extend(hits.list.iter().map(|hit| Listed {
+                        splat: view.splat(hit) as u32,
+                        alpha: hit.alpha as f32,
+                        depth: view.depth(hit) as f32,
+                    }));
+                }
+                listed.ends.push(listed.hits.len() as u32);
+                listed.is_masked.push(is_masked);
+            }
+            listed
+        };
+        let rows = along(height).collect::<Vec<_>>().into_par_iter().map(of_row).collect();
+        ListedView { camera: *view.camera(), start, stride: self.stride, rows }
+    }
+}

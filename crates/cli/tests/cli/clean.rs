@@ -1,0 +1,147 @@
+//! `clean`: a file of splats in, the same format out, and what was removed beside it.
+
+use std::path::Path;
+
+use glam::{Quat, Vec3};
+use octobayes_data::write_transforms;
+use octobayes_splats::{RenderMode, Splats};
+use serde_json::Value;
+
+use crate::program::Desk;
+use crate::splats::{around, ball};
+
+/// A ball of 900 splats, and behind these 30 that float around it.
+fn with_floaters() -> Splats {
+    let ball = ball(|_| 0.0);
+    let n = ball.len();
+    let place = |i: usize| 1.2 * Quat::from_rotation_z(0.21 * i as f32).mul_vec3(Vec3::new(1.0, 0.0, 0.2));
+    let all = |i: usize| if i < n { ball.mean(i) } else { place(i - n) };
+    Splats::new(
+        (0..n + 30).map(all).collect(),
+        (0..n + 30).map(|i| if i < n { ball.log_scales()[i] } else { Vec3::splat(-3.4) }).collect(),
+        (0..n + 30).map(|i| if i < n { ball.rotation(i) } else { Quat::IDENTITY }).collect(),
+        (0..n + 30).map(|i| if i < n { ball.opacity_logits()[i] } else { -0.5 }).collect(),
+        (0..n + 30).flat_map(|i| ball.sh(i % n).to_vec()).collect(),
+        1,
+        RenderMode::Classic,
+    )
+    .unwrap()
+}
+
+/// The splats and twelve cameras around them.
+fn desk() -> Desk {
+    let desk = Desk::empty();
+    let label: Vec<f32> = (0..930).map(|i| i as f32).collect();
+    with_floaters().write_ply(&desk.join("scene.ply"), &[("label", &label)], &[]).unwrap();
+    write_transforms(&desk.join("transforms.json"), &around(3.0, (0..12).map(|i| 0.52 * f64::from(i)))).unwrap();
+    desk
+}
+
+fn read(desk: &Desk, name: &str) -> Splats {
+    Splats::read(&desk.join(name)).unwrap()
+}
+
+const RUN: &str = "clean scene.ply --cameras transforms.json --background black";
+
+#[test]
+fn floaters_go_and_everything_else_stays_as_it_was() {
+    let desk = desk();
+    let answer = desk.good(&format!("{RUN} -o clean.ply --report clean.csv"));
+    assert_eq!(answer, "clean.ply\nclean.removed.ply\n");
+    let (kept, removed) = (read(&desk, "clean.ply"), read(&desk, "clean.removed.ply"));
+    let column = |splats: &Splats, name: &str| splats.extra(name).unwrap_or_else(|| panic!("column {name}"));
+    let numbers = |splats: &Splats| column(splats, "label").iter().map(|v| *v as usize).collect::<Vec<_>>();
+    // The order stays, nothing is lost, and all floaters are gone.
+    let (kept_numbers, gone) = (numbers(&kept), numbers(&removed));
+    assert!(kept_numbers.is_sorted() && gone.is_sorted());
+    assert_eq!(kept.len() + removed.len(), 930);
+    assert!((900..930).all(|i| gone.contains(&i)), "{gone:?}");
+    assert!(kept_numbers.len() > 850, "{} are left", kept.len());
+    // Their numbers are those of the file, bit for bit.
+    let scene = read(&desk, "scene.ply");
+    for (k, &i) in kept_numbers.iter().enumerate() {
+        assert_eq!(
+            (kept.mean(k), kept.log_scales()[k], kept.sh(k)),
+            (scene.mean(i), scene.log_scales()[i], scene.sh(i))
+        );
+    }
+    let names = ["octobayes_reason", "octobayes_score", "front_share", "views"];
+    assert!(kept.extra_names().ends_with(&names) && removed.extra_names().ends_with(&names));
+    // 1 is floating.
+    let reasons = column(&removed, "octobayes_reason");
+    assert!(gone.iter().zip(&reasons).all(|(i, reason)| (*i >= 900) == (*reason == 1.0)), "{reasons:?}");
+    assert!(column(&kept, "octobayes_reason").iter().all(|reason| *reason == 0.0));
+    assert!(column(&removed, "front_share")[gone.len() - 1] > 0.7);
+    // The report has a row for every splat, in the file's order.
+    let report = std::fs::read_to_string(desk.join("clean.csv")).unwrap();
+    let rows: Vec<Vec<&str>> = report.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 930);
+    for (i, row) in rows.iter().enumerate() {
+        assert_eq!(row[0], i.to_string());
+        assert_eq!(row[4] == "kept" || row[5] == "strong", kept_numbers.contains(&i), "{row:?}");
+    }
+    // What was written is read again without a remark about its columns.
+    let said = desk.said("info clean.ply");
+    assert!(!said.contains("octobayes_reason"), "{said}");
+}
+
+#[test]
+fn counts_are_printed_for_people_and_programs() {
+    let desk = desk();
+    let said = desk.said(&format!("{RUN} -o a.ply --strength careful"));
+    assert!(said.contains(" of 930 splats (") && said.contains("%), careful:"), "{said}");
+    assert!(said.contains("float in front of what the photographs show"), "{said}");
+    let answer: Value = serde_json::from_str(&desk.good(&format!("{RUN} -o b.ply --json"))).unwrap();
+    let floating = |strength: &str| answer["reasons_by_strength"][strength]["floating"].as_u64().unwrap();
+    assert!(floating("careful") <= floating("normal") && floating("normal") <= floating("strong"));
+    assert_eq!(answer["reasons"], answer["reasons_by_strength"]["normal"]);
+    let gone: u64 = answer["reasons"].as_object().unwrap().values().map(|count| count.as_u64().unwrap()).sum();
+    assert_eq!(answer["left"].as_u64().unwrap() + gone, 930);
+    assert_eq!((answer["splats"].as_u64(), answer["strength"].as_str()), (Some(930), Some("normal")));
+}
+
+#[test]
+fn the_format_that_comes_in_goes_out_and_others_by_their_name() {
+    let desk = desk();
+    let scene = read(&desk, "scene.ply");
+    for name in ["scene.spz", "scene.splat", "scene.compressed.ply"] {
+        scene.write(&desk.join(name)).unwrap();
+        let again = read(&desk, name);
+        let out = name.replace("scene", "out");
+        desk.good(&format!("clean {name} --cameras transforms.json --background black -o {out}"));
+        let (left, removed) = (read(&desk, &out), read(&desk, "out.removed.ply"));
+        assert_eq!(left.len() + removed.len(), 930, "{name}");
+        assert!((30..80).contains(&removed.len()), "{name}: {}", removed.len());
+        // What is left has the numbers of the file, within the steps of its format.
+        let far = |x: &Vec3| again.means().iter().map(|y| x.distance(*y)).fold(f32::INFINITY, f32::min);
+        assert!(left.means().iter().all(|x| far(x) < 2e-3), "{name}");
+        assert!(Path::new(&desk.join(&out)).metadata().unwrap().len() > 0);
+    }
+    let said = desk.said(&format!("{RUN} -o out.splat"));
+    assert!(said.contains("warning: out.splat has no place for property `label`"), "{said}");
+    assert!(said.contains("has no place for colours that depend on the direction"), "{said}");
+}
+
+#[test]
+fn what_cannot_be_cleaned_is_refused_with_the_way_out() {
+    let desk = desk();
+    desk.refused("clean scene.ply -o a.ply", &["--cameras: expected"]);
+    desk.refused(&format!("{RUN} -o a.sog"), &["`.ply`, `.compressed.ply`, `.spz` or `.splat`"]);
+    desk.refused(&format!("{RUN} -o scene.ply"), &["a file of its own"]);
+    desk.refused(&format!("{RUN} -o a.ply --removed a.ply"), &["a file of its own"]);
+    let of_volume = "clean scene:ball --cameras transforms.json -o a.ply";
+    desk.refused(of_volume, &["MODEL: expected Gaussian splats", "render --threshold"]);
+    // Cameras that look away see nothing.
+    let away = around(3.0, [0.0].into_iter()).into_iter().map(|(name, mut camera)| {
+        camera.position *= 100.0;
+        camera.axes.y_axis *= -1.0;
+        camera.axes.z_axis *= -1.0;
+        (name, camera)
+    });
+    write_transforms(&desk.join("away.json"), &away.collect::<Vec<_>>()).unwrap();
+    desk.refused(
+        "clean scene.ply --cameras away.json --background black -o a.ply",
+        &["cameras: expected rays that meet"],
+    );
+    assert!(!desk.join("a.ply").exists());
+}

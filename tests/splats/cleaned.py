@@ -1,0 +1,76 @@
+"""cleaned.py OCTOBAYES SPLAT_TRANSFORM MODEL.ply CAMERAS.json: splat-transform reads what `clean` writes.
+
+The same model is cleaned into every format. splat-transform makes a `.ply` of each, whose splats must be those of the
+`.ply` that `clean` writes, within the steps of the format.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from plyfile import PlyData
+
+# Largest difference of positions (scene units), of logarithms of scales, of opacities and of colours 0 to 1: half a
+# step of the format, a hundredth more for the rounding of f32, and for `.compressed.ply` the ranges of a scene that is
+# 3 wide, whose scales span e^10 and whose colours span 4.
+STEPS = {
+    ".spz": (0.5 / 4096, 0.5 / 16, 0.5 / 255, 0.5 / 255 / 0.15 * 0.2821),
+    ".splat": (1e-6, 1e-5, 0.5 / 255, 0.5 / 255),
+    ".compressed.ply": (0.5 * 3 / 1023, 0.5 * 10 / 1023, 0.5 / 255, 0.5 * 4 / 255),
+}
+
+
+def run(*words: str | Path) -> None:
+    done = subprocess.run(words, capture_output=True, text=True)
+    if done.returncode != 0:
+        sys.exit(f"{' '.join(map(str, words))}: {done.stderr}")
+
+
+def read(path: Path) -> dict[str, np.ndarray]:
+    vertex = PlyData.read(path)["vertex"]
+    columns = lambda *names: np.stack([vertex[name].astype(float) for name in names], axis=1)  # noqa: E731
+    return {
+        "means": columns("x", "y", "z"),
+        "scales": columns("scale_0", "scale_1", "scale_2"),
+        "opacities": 1 / (1 + np.exp(-columns("opacity"))),
+        "colors": 0.5 + 0.2820948 * columns("f_dc_0", "f_dc_1", "f_dc_2"),
+    }
+
+
+def partners(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> np.ndarray:
+    """For each splat of ``a`` the nearest of ``b`` in place, size and colour."""
+    rows = [np.concatenate([100 * of["means"], of["scales"], of["colors"]], axis=1) for of in (a, b)]
+    return np.array([np.argmin(((rows[1] - row) ** 2).sum(1)) for row in rows[0]])
+
+
+def main() -> None:
+    program, converter, model, cameras = sys.argv[1:]
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        plain = place / "clean.ply"
+        words = [program, "clean", model, "--cameras", cameras, "--background", "white", "-o"]
+        run(*words, plain)
+        expected = read(plain)
+        before = len(read(Path(model))["means"])
+        removed = len(read(place / "clean.removed.ply")["means"])
+        assert len(expected["means"]) + removed == before and removed > 0
+        for extension, steps in STEPS.items():
+            written, converted = place / f"out{extension}", place / "converted.ply"
+            run(*words, written)
+            run("node", converter, "-w", written, converted)
+            found = read(converted)
+            assert len(found["means"]) == len(expected["means"]), extension
+            index = partners(expected, found)
+            assert len(set(index)) == len(index), f"{extension}: every splat has a partner of its own"
+            # Scales and colours have ends.
+            ends = {("scales", ".spz"): (-10, 6), ("colors", ".spz"): (-0.4403, 1.4403), ("colors", ".splat"): (0, 1)}
+            for name, step in zip(("means", "scales", "opacities", "colors"), steps):
+                low, high = ends.get((name, extension), (-np.inf, np.inf))
+                worst = np.abs(np.clip(expected[name], low, high) - found[name][index]).max()
+                assert worst <= 1.01 * step + 1e-6, f"{extension}, {name}: {worst} beyond {step}"
+            print(f"{Path(model).name} -> {extension}: {len(index)} splats as splat-transform reads them")
+
+
+main()
