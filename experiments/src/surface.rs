@@ -33,8 +33,8 @@ pub fn places(scene: &MeshScene, points: &[DVec3], slack: f64) -> Vec<Place> {
     points.par_iter().zip(distances).map(place).collect()
 }
 
-/// How often the mesh winds around a point: 1 inside a closed one, 0 outside; the solid angles of its faces (van Oosterom,
-/// Strackee 1983) over 4π (Jacobson, Kavan, Sorkine-Hornung 2013).
+/// How often the mesh winds around a point: 1 inside a closed one, 0 outside; the solid angles of its faces (van
+/// Oosterom, Strackee 1983) over 4π (Jacobson, Kavan, Sorkine-Hornung 2013).
 fn turns(scene: &MeshScene, x: DVec3) -> f64 {
     let mesh = scene.mesh();
     let angle = |face: u32| {

@@ -31,7 +31,7 @@ class Cleaned:
     kept: NDArray[np.bool_]
     #: Why each goes, one of 'floating', 'unseen', 'outside', 'transparent', or 'kept'.
     reason: NDArray[np.str_]
-    #: 'score' (what speaks against the splat, at most 1), 'front_share' (the part of its weight that is in front of
+    #: 'score' (how far views contradict it, at most 1), 'front_share' (the part of its weight that is in front of
     #: what pixels show), 'weight' (sum of its shares of the pixels that were looked at), 'views' (training views that
     #: show it).
     columns: dict[str, np.ndarray]
@@ -57,6 +57,8 @@ def clean(
     progress: Progress | bool | None = None,
 ) -> Cleaned:
     """Finds floaters, and what no camera saw, as the command ``octobayes clean``.
+
+    Masks are not applied, and images are not compared with the splats: the command does both.
 
     splats: a file, or :func:`open_model` of one. cameras: those of its training, as in :func:`uncertainty`. strength:
     'careful', 'normal' or 'strong'. pixels: how many are looked at, over all cameras. Raises ValueError if the cameras

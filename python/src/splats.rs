@@ -182,8 +182,8 @@ pub fn seen_splats<'py>(
     Ok((weights, PyArray1::from_vec(py, seen.views), front))
 }
 
-/// Why each splat goes, `[n]`: 0 stays, else the number of its reason; at which strength, `[n]`: 0 stays, else its number
-/// from 1; and what speaks against it and what the views show of it.
+/// Why each splat goes, `[n]`: 0 stays, else the number of its reason; at which strength, `[n]`: 0 stays, else its
+/// number from 1; how far the views contradict it, and what they show of it.
 #[pyfunction]
 pub fn clean_splats<'py>(
     py: Python<'py>,

@@ -30,7 +30,7 @@ def run(*words: str | Path) -> None:
 
 def read(path: Path) -> dict[str, np.ndarray]:
     vertex = PlyData.read(path)["vertex"]
-    columns = lambda *names: np.stack([vertex[name].astype(float) for name in names], axis=1)  # noqa: E731
+    columns = lambda *names: np.stack([vertex[name].astype(float) for name in names], axis=1)
     return {
         "means": columns("x", "y", "z"),
         "scales": columns("scale_0", "scale_1", "scale_2"),

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use octobayes::geometry::Camera;
+use octobayes_splats::{MIN_TRANSMITTANCE, MOST_OPAQUE};
 use rayon::prelude::*;
 
 use crate::views::{Listed, ListedRow, ListedView};
@@ -10,11 +11,13 @@ use crate::views::{Listed, ListedRow, ListedView};
 const SLACK: f64 = 0.01;
 /// A pixel that shows less light than this shows empty space.
 const EMPTY: f64 = 0.5;
+/// Where less light is left, more splats may be behind those that are listed: the next one may have taken 99 % of it.
+const CUT: f64 = MIN_TRANSMITTANCE / (1.0 - MOST_OPAQUE);
 /// Least weight in a view by which it can contradict a splat.
 const LEAST: f64 = 1e-3;
 /// A view shows a splat if the splat's share of one of its pixels exceeds this.
 const SHOWN: f64 = 0.05;
-/// Pixels, in steps of those that are looked at, to either side of a centre's.
+/// Steps between pixels that are looked at, to either side of the one nearest to a centre.
 const WINDOW: i64 = 1;
 
 /// What the views show of each of n splats; every list is `[n]`.
@@ -34,7 +37,9 @@ pub struct Evidence {
     pub views: Vec<u32>,
     /// Views whose image the centre is in.
     pub inside: Vec<u32>,
-    /// Views in which the centre is nearer than every surface within a pixel of it, or they show empty space.
+    /// Views whose image it would be in, but for the mask.
+    pub masked: Vec<u32>,
+    /// Views in which the centre is nearer than every surface beside it, or they show empty space.
     pub before: Vec<u32>,
     /// Views in which the centre is at the surface: neither nearer than all of these nor farther.
     pub on: Vec<u32>,
@@ -55,6 +60,7 @@ impl Evidence {
             peak: sums.iter().map(|sums| sums.peak).collect(),
             views: count(|sums| sums.views),
             inside: count(|sums| sums.inside),
+            masked: count(|sums| sums.masked),
             before: count(|sums| sums.before),
             on: count(|sums| sums.on),
         }
@@ -62,14 +68,14 @@ impl Evidence {
 
     /// The part of splat `i`'s weight that is nearer than the surfaces of its pixels; 0 without weight.
     ///
-    /// The part in pixels that show empty space counts as well if there is a view in which most of the weight is nearer
-    /// than surfaces: alone, it may be the rim of an object, or one with holes.
+    /// The part in pixels that show empty space counts as well if there is a view in which most of the weight is
+    /// nearer than surfaces: alone, it may be the rim of an object, or one with holes.
     #[must_use]
     pub fn front_share(&self, i: usize) -> f64 {
         if self.against[i] > 0 { self.free_share(i) } else { self.share(i, self.front[i]) }
     }
 
-    /// The part of splat `i`'s weight that is nearer than surfaces or in pixels that show empty space; 0 without weight.
+    /// The part of splat `i`'s weight that is nearer than surfaces or in pixels of empty space; 0 without weight.
     #[must_use]
     pub fn free_share(&self, i: usize) -> f64 {
         self.share(i, self.front[i] + self.empty[i])
@@ -129,6 +135,7 @@ struct Sums {
     against: u32,
     views: u32,
     inside: u32,
+    masked: u32,
     before: u32,
     on: u32,
 }
@@ -142,7 +149,8 @@ impl Sums {
         self.peak = self.peak.max(peak);
         self.views += u32::from(f64::from(peak) > SHOWN);
         self.against += u32::from(weight > LEAST && front > 0.5 * weight);
-        self.inside += u32::from(stand.is_some());
+        self.inside += u32::from(stand.is_some_and(|stand| stand != Stand::Masked));
+        self.masked += u32::from(stand == Some(Stand::Masked));
         self.before += u32::from(stand == Some(Stand::Before));
         self.on += u32::from(stand == Some(Stand::On));
     }
@@ -165,10 +173,12 @@ enum Place {
 }
 
 /// Appends the shares of a pixel, and returns the depth of its surface: where half of the light is reached that comes
-/// from any splat, or infinity if that is little.
+/// from any splat, or infinity if that is little. NaN if it is not known: lists end where hardly any light is left, and
+/// most of that was taken by splats that are not kept.
 fn composite(hits: &[Listed], kept: &[bool], shares: &mut Vec<Share>) -> f32 {
     let all = || hits.iter().filter(|hit| kept[hit.splat as usize]);
     let passed: f64 = all().map(|hit| 1.0 - f64::from(hit.alpha)).product();
+    let passed_all: f64 = hits.iter().map(|hit| 1.0 - f64::from(hit.alpha)).product();
     let (mut surface, mut transmittance, first) = (f32::INFINITY, 1.0, shares.len());
     for hit in all() {
         let weight = transmittance * f64::from(hit.alpha);
@@ -177,6 +187,10 @@ fn composite(hits: &[Listed], kept: &[bool], shares: &mut Vec<Share>) -> f32 {
             surface = hit.depth;
         }
         shares.push(Share { splat: hit.splat, weight: weight as f32, place: Place::Empty });
+    }
+    if surface.is_infinite() && passed_all < CUT {
+        shares[first..].iter_mut().for_each(|share| share.place = Place::Surface);
+        return f32::NAN;
     }
     if surface.is_finite() {
         let nearer = (1.0 - SLACK) * f64::from(surface);
@@ -202,6 +216,8 @@ enum Stand {
     Before,
     On,
     Behind,
+    /// The mask leaves out the pixels around it, or what they show is not known.
+    Masked,
 }
 
 /// Where a camera's image shows a point, pixels, and its depth; `None` outside the image.
@@ -212,10 +228,12 @@ pub(crate) fn seen_at(camera: &Camera, x: DVec3) -> Option<([f64; 2], f64)> {
 }
 
 impl DepthMap {
-    /// `None` outside the image, and where the mask leaves all pixels out.
+    /// `None` outside the image.
     fn stand(&self, camera: &Camera, x: DVec3) -> Option<Stand> {
         let (at, depth) = seen_at(camera, x)?;
-        let middle = at.map(|v| (v as i64 - i64::from(self.start)).div_euclid(i64::from(self.stride)));
+        // The nearest of the pixels that were looked at.
+        let [start, stride] = [self.start, self.stride].map(i64::from);
+        let middle = at.map(|v| (v as i64 - start + stride / 2).div_euclid(stride));
         let (mut nearest, mut farthest, mut count) = (f64::INFINITY, f64::NEG_INFINITY, 0);
         for row in middle[1] - WINDOW..=middle[1] + WINDOW {
             for column in middle[0] - WINDOW..=middle[0] + WINDOW {
@@ -228,7 +246,7 @@ impl DepthMap {
             }
         }
         match () {
-            () if count == 0 => None,
+            () if count == 0 => Some(Stand::Masked),
             () if depth < (1.0 - SLACK) * nearest => Some(Stand::Before),
             () if depth <= (1.0 + SLACK) * farthest => Some(Stand::On),
             () => Some(Stand::Behind),

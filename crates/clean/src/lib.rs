@@ -1,4 +1,5 @@
-//! Cleaning of a trained scene of Gaussian splats: which splats speak against the photographs, or are shown by none?
+//! Cleaning of a trained scene of Gaussian splats: which splats do the photographs contradict,
+//! and which does none show?
 //!
 //! A *floater* hangs in the air in front of what the training views show. No view by itself contradicts it: each was
 //! fitted with it. But the surface that one view shows behind it is in its place in others, so that the floater stands
@@ -14,7 +15,8 @@
 //! use octobayes_splats::{RenderMode, Splats};
 //!
 //! // A wall of opaque splats, and a thin one that floats before it.
-//! let mut means: Vec<Vec3> = (0..400).map(|i| Vec3::new(4.0, (i % 20) as f32 / 10.0 - 1.0, (i / 20) as f32 / 10.0 - 1.0)).collect();
+//! let on_wall = |i: i32| Vec3::new(4.0, (i % 20) as f32 / 10.0 - 1.0, (i / 20) as f32 / 10.0 - 1.0);
+//! let mut means: Vec<Vec3> = (0..400).map(on_wall).collect();
 //! means.push(Vec3::new(2.0, 0.3, 0.0));
 //! let logits = (0..401).map(|i| if i < 400 { 4.0 } else { -1.0 }).collect();
 //! let (log_scales, rotations) = (vec![Vec3::splat(-2.5); 401], vec![Quat::IDENTITY; 401]);

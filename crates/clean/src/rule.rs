@@ -37,6 +37,9 @@ impl Reason {
     }
 }
 
+/// Below this weight a splat lies between the pixels that were looked at.
+const LEAST_WEIGHT: f64 = 0.01;
+
 /// What is removed as floating, and looked for again without it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stage {
@@ -44,7 +47,7 @@ pub struct Stage {
     pub strength: Strength,
     /// A splat floats if its [`Rule::score`] exceeds this.
     pub threshold: f64,
-    /// Whether [`Evidence::free_share`] speaks against a splat, not [`Evidence::front_share`].
+    /// Whether [`Evidence::free_share`] contradicts a splat, not [`Evidence::front_share`].
     pub by_free_share: bool,
 }
 
@@ -55,7 +58,7 @@ pub struct Rule {
     pub stages: [Stage; 4],
     /// Most rounds of removing and looking again in a stage.
     pub rounds: usize,
-    /// How much a view in which the centre is at a surface speaks for a splat.
+    /// How much a view in which the centre is at a surface counts for a splat.
     pub on: f64,
     /// A splat is transparent if its opacity is below this, `[Strength]`.
     pub opacity: [f64; 3],
@@ -87,16 +90,16 @@ impl Default for Rule {
 }
 
 impl Rule {
-    /// How much speaks against splat `i` in a stage: the part of its weight in front of surfaces, less the share of
-    /// views in which its centre is at one. At most 1.
+    /// How far the views contradict splat `i` in a stage: the part of its weight in front of surfaces, less a part of
+    /// the share of views in which its centre is at one. At most 1.
     #[must_use]
     pub fn score(&self, of: &Evidence, i: usize, stage: Stage) -> f64 {
         let at_surface = f64::from(of.on[i]) / f64::from(of.inside[i].max(1));
-        let share = if of.weight[i] > 0.0 {
-            if stage.by_free_share { of.free_share(i) } else { of.front_share(i) }
-        } else {
-            // Between all pixels that were looked at: its centre alone speaks.
-            f64::from(of.before[i]) / f64::from((of.before[i] + of.on[i]).max(1))
+        // What lies between the pixels that were looked at may be a thin thing in its place.
+        let share = match () {
+            () if of.weight[i] < LEAST_WEIGHT => 0.0,
+            () if stage.by_free_share => of.free_share(i),
+            () => of.front_share(i),
         };
         share - self.on * at_surface
     }
@@ -104,6 +107,6 @@ impl Rule {
     /// Whether no view shows splat `i`.
     #[must_use]
     pub fn is_unseen(&self, of: &Evidence, i: usize) -> bool {
-        f64::from(of.peak[i]) < self.peak && of.on[i] == 0 && of.before[i] == 0
+        f64::from(of.peak[i]) < self.peak && of.on[i] == 0 && of.before[i] == 0 && of.masked[i] == 0
     }
 }

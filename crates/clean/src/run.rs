@@ -1,4 +1,4 @@
-//! Looks at the splats through all training views, removes what speaks against them, and looks again.
+//! Looks at the splats through all training views, removes what they contradict, and looks again.
 
 use glam::{DVec3, Vec3};
 use octobayes::geometry::{Camera, Mask};
@@ -13,8 +13,8 @@ use crate::rule::Stage;
 use crate::views::{ListedView, Views};
 use crate::{Reason, Rule, Strength};
 
-/// Projections of a splat to a view, of all splats and views together: each costs a third of a microsecond on two cores.
-/// There are more for splats of which so many views are more.
+/// Most projections of a splat to a view, all together: each takes a third of a microsecond on two cores.
+/// [`LEAST_VIEWS`] come first.
 const MOST_PROJECTED: usize = 64_000_000;
 const LEAST_VIEWS: usize = 48;
 
@@ -25,7 +25,7 @@ pub struct Removal {
     pub reason: Reason,
     /// The first strength at which it goes.
     pub strength: Strength,
-    /// How much spoke against it when it went.
+    /// How far the views contradicted it when it went.
     pub score: f64,
     /// The look by which it went, from 1: the earlier, the surer.
     pub look: usize,
@@ -38,7 +38,7 @@ pub struct Cleaned {
     pub removals: Vec<Option<Removal>>,
     /// What the views showed before anything was removed.
     pub evidence: Evidence,
-    /// `[n]`: how much speaks against a splat, as it was seen last: at most 1.
+    /// `[n]`: how far the views contradict a splat, at the last look at it; at most 1.
     pub scores: Vec<f64>,
     /// Number of pixels that were looked at each time, and of all pixels.
     pub pixels: [u64; 2],
@@ -76,7 +76,7 @@ pub struct Clean<'a> {
 
 impl<'a> Clean<'a> {
     /// Pixels of all views together that are looked at by default.
-    pub const PIXELS: u64 = 1_000_000;
+    pub const PIXELS: u64 = 2_000_000;
 
     /// Cleans `splats` by the cameras that they were trained on.
     #[must_use]
@@ -97,7 +97,7 @@ impl<'a> Clean<'a> {
         Self { pixel_offset, ..self }
     }
 
-    /// How many pixels of all views together are looked at, about; a million by default.
+    /// How many pixels of all views together are looked at, about; two million by default.
     #[must_use]
     pub fn pixels(self, pixels: u64) -> Self {
         Self { pixels, ..self }
@@ -119,24 +119,26 @@ impl<'a> Clean<'a> {
     /// Finds what goes at each strength.
     ///
     /// # Errors
-    /// If there is no camera, if a lens distorts, if nothing would be left, or
-    /// [`Error::Interrupted`](octobayes::Error::Interrupted).
+    /// If there is no camera, if a camera or a mask is impossible, if a lens distorts, if nothing would be left at any
+    /// strength, or [`Error::Interrupted`](octobayes::Error::Interrupted).
     pub fn run(&self) -> Result<Cleaned> {
         if self.cameras.is_empty() {
             return Err(Error::setting("cameras", "at least one: what they show is what splats are held against", "0"));
         }
         SplatRenderer::check_cameras(self.cameras)?;
+        self.check_views()?;
         let n = self.splats.len();
         let most = (MOST_PROJECTED / n).max(LEAST_VIEWS);
         let every = self.cameras.len().div_ceil(most);
         let all: u64 = self.cameras.iter().map(Camera::pixels).sum();
         let of_views = all as f64 / every as f64;
-        let stride = ((of_views / self.pixels.max(1) as f64).sqrt().round() as u32).max(1);
+        let stride = ((of_views / self.pixels.max(1) as f64).sqrt().ceil() as u32).max(1);
         let (cameras, masks, pixel_offset) = (self.cameras, self.masks, self.pixel_offset);
         let views = Views { cameras, masks, pixel_offset, stride, every };
         // What lies behind the splats takes no part in their weights.
         let listed = views.list(&SplatRenderer::new(self.splats, Vec3::ZERO), self.monitor)?;
-        let looked_at = listed.iter().map(|view| view.camera.strided(stride, 0.0).pixels()).sum();
+        let rows = listed.iter().flat_map(|view| &view.rows);
+        let looked_at = rows.map(|row| row.pixels().flatten().count() as u64).sum();
         let evidence = Evidence::of(&listed, self.splats.means(), &vec![true; n]);
         let (removals, scores) = (vec![None; n], vec![0.0; n]);
         let mut cleaned = Cleaned { removals, evidence, scores, pixels: [looked_at, all], looks: 1 };
@@ -147,11 +149,31 @@ impl<'a> Clean<'a> {
             self.remove_by_look(&mut cleaned, &by_look, stage.strength);
             self.remove_floaters(&mut cleaned, &mut latest, &listed, stage)?;
         }
-        if cleaned.removals.iter().all(Option::is_some) {
+        if cleaned.removed(Strength::Careful).iter().all(Option::is_some) {
             let expected = "splats of a scene that the cameras show (are they of another scene, or in another frame?)";
             return Err(Error::setting("splats", expected, format!("none of {n} in its place")));
         }
         Ok(cleaned)
+    }
+
+    /// Refuses impossible cameras and masks of other images.
+    fn check_views(&self) -> Result<()> {
+        if let Some((i, defect)) = self.cameras.iter().map(Camera::defect).enumerate().find_map(|(i, d)| Some((i, d?)))
+        {
+            return Err(Error::setting(format!("camera {i}"), "a possible one", defect));
+        }
+        let (cameras, masks) = (self.cameras.len(), self.masks.len());
+        if masks > 0 && masks != cameras {
+            return Err(Error::setting("masks", format!("one for each of {cameras} cameras"), masks.to_string()));
+        }
+        for (i, (camera, mask)) in self.cameras.iter().zip(self.masks).enumerate() {
+            let ([w, h], Some(found)) = (camera.resolution, mask.as_ref().map(Mask::resolution)) else { continue };
+            if found != [w, h] {
+                let found = format!("{} x {}", found[0], found[1]);
+                return Err(Error::setting(format!("mask {i}"), format!("{w} x {h} pixels, as its camera"), found));
+            }
+        }
+        Ok(())
     }
 
     /// `[n]`: whether the image of a camera that was not looked through has the centre.
@@ -193,7 +215,7 @@ impl<'a> Clean<'a> {
         away.into_iter().map(|away| away > limit).collect()
     }
 
-    /// What speaks in a stage against the splats that are left.
+    /// How far the views contradict the splats that are left.
     fn score(&self, cleaned: &mut Cleaned, latest: &Evidence, stage: Stage) {
         let left = cleaned.scores.iter_mut().zip(&cleaned.removals).enumerate();
         for (i, (score, _)) in left.filter(|(_, (_, removal))| removal.is_none()) {

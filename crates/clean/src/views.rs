@@ -100,6 +100,7 @@ impl Views<'_> {
                 listed.ends.push(listed.hits.len() as u32);
                 listed.is_masked.push(is_masked);
             }
+            listed.hits.shrink_to_fit();
             listed
         };
         let rows = along(height).collect::<Vec<_>>().into_par_iter().map(of_row).collect();

@@ -12,12 +12,16 @@ use super::files::CommandFiles;
 use super::options::{CameraOptions, FrameOptions, ModelArgument, choice, count, heading, parse_background};
 use super::progress::Bars;
 use super::streams::tell;
+use octobayes::estimate::Model;
 use octobayes::monitor::Message;
 use octobayes::{Error, Result};
 use octobayes_clean::{Clean, Cleaned, Reason, Strength};
 use octobayes_data::Part;
-use octobayes_session::{OpenedModel, Session};
+use octobayes_session::{Choices, OpenedModel, Session};
 use octobayes_splats::{RenderMode, Splats};
+
+/// Level of the grid over which the cameras are checked; no field is computed.
+const LEVEL: u8 = 6;
 
 /// Remove floaters, and what no camera saw, from Gaussian splats
 ///
@@ -26,8 +30,8 @@ use octobayes_splats::{RenderMode, Splats};
 /// is removed before the next look, as one floater can hide another. No image is needed; those that lie beside the
 /// cameras are compared with the model first, as in `uncertainty`.
 ///
-/// OUTPUT has the format of its extension, by default that of MODEL, with everything that the file had. What was removed
-/// is written beside it, with the reason of each splat as a column.
+/// OUTPUT has the format of its extension; a `.ply` keeps all properties of the file. What was removed is written
+/// beside it, with the reason of each splat as a column. Pixels that masks leave out do not count.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  \
     octobayes clean scene.ply --cameras sparse/0 -o clean.ply\n  \
@@ -43,7 +47,13 @@ pub struct Args {
     frames: FrameOptions,
 
     /// Background colour of the training: white, black or r,g,b in [0, 1] [default: as in `uncertainty`]
-    #[arg(long, value_name = "COLOR", value_parser = parse_background, help_heading = heading::INPUT, hide_short_help = true)]
+    #[arg(
+        long,
+        value_name = "COLOR",
+        value_parser = parse_background,
+        help_heading = heading::INPUT,
+        hide_short_help = true,
+    )]
     background: Option<Vec3>,
 
     /// Use the cameras even if the model does not show the images that lie beside them
@@ -69,12 +79,12 @@ pub struct Args {
     )]
     strength: Strength,
 
-    /// Pixels of all views together that are looked at
+    /// Pixels of all views together that are looked at; each takes 12 bytes for every splat that it shows
     #[arg(
         long,
         value_name = "N",
         default_value_t = Clean::PIXELS,
-        value_parser = count::<u64>(1..=1_000_000_000_000),
+        value_parser = count::<u64>(1..=1_000_000_000),
         help_heading = heading::RAYS,
         hide_short_help = true,
     )]
@@ -88,7 +98,7 @@ pub struct Args {
     #[arg(long, value_name = "REMOVED.ply", help_heading = heading::OUTPUT)]
     removed: Option<PathBuf>,
 
-    /// Write a row for every splat of MODEL: its place, why and at which strength it goes, and what the views show of it
+    /// Write a row for every splat that was read: its place, why and at which strength it goes, what views show of it
     #[arg(long, value_name = "REPORT.csv", help_heading = heading::OUTPUT)]
     report: Option<PathBuf>,
 
@@ -114,6 +124,10 @@ impl Args {
             .outputs("--report", &self.report)
             .outputs("--picture", &self.picture);
         files.check()?;
+        if !is_plain_ply(&removed) {
+            let expected = "a name that ends in `.ply`, but not in `.compressed.ply`, which has no place for reasons";
+            return Err(Error::setting("--removed", expected, removed.display().to_string()));
+        }
         let model = OpenedModel::for_cameras(&self.model.model, self.cameras.cameras.is_some(), self.splat_mode)?;
         let splats = Splats::of(&*model.model).ok_or_else(|| {
             let expected = "Gaussian splats; of volumes `uncertainty` finds what is loosely held, and \
@@ -125,7 +139,13 @@ impl Args {
         }
         let cameras = self.cameras.training(&self.frames, Some(&*model.model), &self.model.model)?;
         files.images(&cameras.views).check()?;
+        let background = self.background.unwrap_or(Vec3::ONE);
+        let (domain, messages) = splats.covered(&cameras.views.cameras(), background, bars)?;
+        // Its notes are about a field, which there is none of.
+        messages.into_iter().filter(|message| matches!(message, Message::Warning(_))).for_each(tell);
         let session = Session::new(cameras.views, format!("{} seen by {}", model.source, cameras.source))?
+            .domain(Some(domain))
+            .choices(Choices { level: Some(LEVEL), ..Choices::default() })
             .background(self.background)
             .model_file(Some(PathBuf::from(&model.name)))
             .force(self.force);
@@ -149,19 +169,22 @@ impl Args {
     fn write(&self, splats: &Splats, cleaned: &Cleaned, removed_path: &Path) -> Result<Splats> {
         let reasons = cleaned.removed(self.strength);
         let kept: Vec<bool> = reasons.iter().map(Option::is_none).collect();
-        let is_ply = |path: &Path| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply"));
-        let is_compressed = self.output.to_string_lossy().to_ascii_lowercase().ends_with(".compressed.ply");
-        let left = splats.clone().keep(&kept)?;
-        if is_ply(&self.output) && !is_compressed {
-            write_columns(&left, &self.output, cleaned, &kept, self.strength)?;
-        } else {
-            left.write(&self.output)?;
+        if !kept.contains(&true) {
+            let found = format!("{}, at which all {} splats go", self.strength, kept.len());
+            return Err(Error::setting("--strength", "one that leaves some splats", found));
         }
+        let left = splats.clone().keep(&kept)?;
         let gone: Vec<bool> = kept.iter().map(|kept| !kept).collect();
+        // What was removed first: nothing is lost if the disk is full.
         if gone.contains(&true) {
             write_columns(&splats.clone().keep(&gone)?, removed_path, cleaned, &gone, self.strength)?;
         }
         self.report.as_ref().map_or(Ok(()), |path| write_report(path, splats, cleaned))?;
+        if is_plain_ply(&self.output) {
+            write_columns(&left, &self.output, cleaned, &kept, self.strength)?;
+        } else {
+            left.write(&self.output)?;
+        }
         Ok(left)
     }
 
@@ -184,7 +207,7 @@ impl Args {
                     "version": env!("CARGO_PKG_VERSION"),
                     "model": self.model.model,
                     "output": self.output.display().to_string(),
-                    "removed": removed.display().to_string(),
+                    "removed": (gone > 0).then(|| removed.display().to_string()),
                     "strength": self.strength,
                     "splats": n,
                     "left": n - gone,
@@ -205,9 +228,18 @@ impl Args {
             .map(|strength| format!("{strength} {:.2} %", share(cleaned.counts(strength).iter().sum())))
             .collect();
         announce!("other values of --strength: {}", others.join(", "));
+        if gone == 0 && removed.exists() {
+            announce!("note: {} is of an earlier run: nothing goes now", removed.display());
+        }
         say!("{}", self.output.display())?;
         if gone > 0 { say!("{}", removed.display()) } else { Ok(()) }
     }
+}
+
+/// Whether a file is a `.ply` that has a place for columns.
+fn is_plain_ply(path: &Path) -> bool {
+    let name = path.to_string_lossy().to_ascii_lowercase();
+    name.ends_with(".ply") && !name.ends_with(".compressed.ply")
 }
 
 /// The default file of what is removed.
@@ -237,8 +269,8 @@ fn write_columns(splats: &Splats, path: &Path, cleaned: &Cleaned, chosen: &[bool
         Reason::ALL.iter().map(|reason| format!("{} {}", *reason as u8 + 1, reason.name())).collect();
     let comments = [format!(
         "octobayes {version} clean --strength {strength}: octobayes_reason = 0 kept, {}; front_share = part of the \
-         splat's weight in front of what the pixels show; octobayes_score = what speaks against it, at most 1; views = \
-         training views that show it",
+         splat's weight in front of what the pixels show, and in empty pixels once a view contradicts it; \
+         octobayes_score = how far the views contradict it, at most 1; views = training views that show it",
         names.join(", ")
     )];
     let columns: [(&str, &[f32]); 4] =

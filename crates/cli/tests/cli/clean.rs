@@ -129,6 +129,7 @@ fn what_cannot_be_cleaned_is_refused_with_the_way_out() {
     desk.refused(&format!("{RUN} -o a.sog"), &["`.ply`, `.compressed.ply`, `.spz` or `.splat`"]);
     desk.refused(&format!("{RUN} -o scene.ply"), &["a file of its own"]);
     desk.refused(&format!("{RUN} -o a.ply --removed a.ply"), &["a file of its own"]);
+    desk.refused(&format!("{RUN} -o a.ply --removed a.spz"), &["--removed: expected a name that ends in `.ply`"]);
     let of_volume = "clean scene:ball --cameras transforms.json -o a.ply";
     desk.refused(of_volume, &["MODEL: expected Gaussian splats", "render --threshold"]);
     // Cameras that look away see nothing.

@@ -103,9 +103,9 @@ impl Splats {
     /// complete or not at all.
     ///
     /// A `.ply` has all that was read; see [`Splats::write_ply`] for new columns. The others round every number:
-    /// positions of a `.compressed.ply` to 1/2047 of the extent of 256 splats, of an `.spz` to 2⁻¹² scene units or
-    /// finer if the scene is smaller than 1. Splats of an `.spz` are written in the version and with the steps that
-    /// they were read with, so that nothing is lost a second time. [`Splats::not_kept`] names what has no place.
+    /// positions of a `.compressed.ply` to 1/2047 of the extent of 256 splats, of an `.spz` to 2⁻¹² scene units, finer
+    /// if the scene is smaller than 1, coarser if it is larger than 2048. Splats of an `.spz` are written in the
+    /// version and with the steps that they were read with. [`Splats::not_kept`] names what has no place.
     ///
     /// # Errors
     /// If the extension is another one, if a coordinate is too large for an `.spz`, or if writing fails.
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn formats_follow_from_extensions_and_say_what_they_do_not_keep() {
+    fn formats_follow_from_extensions_and_do_not_keep_everything() {
         let folder = tempfile::tempdir().unwrap();
         let splats = random(20, 1);
         let lost = |name: &str| splats.not_kept(Path::new(name)).unwrap();

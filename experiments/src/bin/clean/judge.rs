@@ -120,8 +120,8 @@ impl Images {
     }
 }
 
-/// Squared error of the colour, light in front of the surface, 1; where the object is, light, 1; and where half of it or
-/// more is reached, error of the distance in the object's lengths, 1.
+/// Squared error of the colour, light in front of the surface, 1; where the object is, light, 1; and where half of it
+/// or more is reached, error of the distance in the object's lengths, 1.
 fn pixel(judged: &Judged, truth: &TrueView, view: &SplatView, colors: &[DVec3], [x, y]: [u32; 2]) -> [f64; 7] {
     let at = [x, y].map(|i| f64::from(i) + 0.5);
     let mut hits = Hits::default();

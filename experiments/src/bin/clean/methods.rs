@@ -14,7 +14,7 @@ use common::isolation::isolation;
 
 use crate::judge::{Figures, Images, Judged, recall_at};
 
-/// Share of floaters among those that a score marks, at which it is asked how many it finds.
+/// Share of floaters among those that a score marks, at which recalls are compared.
 pub const PRECISION: f64 = 0.95;
 /// Level of the field of U.
 const LEVEL: u8 = 6;

@@ -1,9 +1,9 @@
 //! Splats that are trained on few views of meshes, and kept.
 
 use glam::DVec3;
-use octobayes::Result;
 use octobayes::geometry::Aabb;
 use octobayes::monitor::Silent;
+use octobayes::{Error, Result};
 use octobayes_data::Hemisphere;
 use octobayes_splats::Splats;
 use octobayes_synth::{DatasetSettings, MeshScene, Surface, Up, write_dataset};
@@ -39,10 +39,12 @@ pub const VIEWS: [Views; 3] = [
     Views { name: "12 of one side", count: 12, is_half: true },
 ];
 
-/// Trains a model of a mesh, or reads the one that was trained before.
+/// Trains a model of a mesh, or reads the one that was trained before, of whatever part.
 pub fn judged(work: &Work, mesh: &str, up: Up, views: Views, seed: u64) -> Result<Judged> {
     let name = format!("{mesh}_{}{}_{seed}", views.count, if views.is_half { "half" } else { "" });
-    let (folder, file) = (work.folder().join(&name), work.folder().join(format!("{name}.ply")));
+    let models = work.folder().with_file_name("models");
+    let (folder, file) = (models.join(&name), models.join(format!("{name}.ply")));
+    std::fs::create_dir_all(&models).map_err(Error::io(&models, "cannot create the folder"))?;
     if !folder.exists() {
         let half = views.is_half.then_some(Hemisphere::Left);
         let settings = DatasetSettings::default().up(up).views(views.count).test_views(HELD_OUT).hemisphere(half);

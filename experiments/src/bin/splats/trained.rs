@@ -1,4 +1,4 @@
-//! Splats that `train --splats` fits to few views of meshes: which of them float in the air, and which did no camera see?
+//! Splats that `train --splats` fits to few views of meshes: which of them float in the air, which did no camera see?
 
 use glam::DVec3;
 use octobayes::Result;
@@ -46,7 +46,7 @@ struct Row {
     splats: usize,
     /// Of the training images, dB.
     psnr: f64,
-    /// Shares of the judged splats that are in the air and inside, and of all that are not judged and that no camera saw.
+    /// Shares of the judged splats that are in the air and inside, of all that are not judged and that no camera saw.
     shares: [f64; 4],
     /// `[NAMES]`.
     scores: Vec<Figures>,

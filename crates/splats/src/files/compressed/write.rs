@@ -80,7 +80,7 @@ fn z_order(splats: &Splats) -> Vec<usize> {
 
 /// Writes splats in their order if they came from such a file, else in one in which chunks are small.
 pub(in super::super) fn write(splats: &Splats, path: &Path) -> Result<()> {
-    let comments = splats.comments_with(&[])?;
+    let comments = splats.comments_with(&[], &[])?;
     let order = if splats.layout.packing == Packing::Chunks { (0..splats.len()).collect() } else { z_order(splats) };
     let mut file = AtomicFile::create(path)?;
     let written = file.write_all(&bytes(splats, &order, &comments));

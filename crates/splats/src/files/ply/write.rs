@@ -9,7 +9,7 @@ use super::{DILATION, MODE, place_of_rest};
 use octobayes::io::AtomicFile;
 use octobayes::{Error, Result};
 
-/// What comments of this crate begin with. Those of an earlier run go, with the columns that they were about.
+/// What comments of this crate begin with. Those about columns that are written anew go.
 const OWN: &str = "octobayes ";
 
 impl Splats {
@@ -44,14 +44,16 @@ impl Splats {
             }
             layout.append(name, values, self.len())?;
         }
-        layout.comments = self.comments_with(comments)?;
+        let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
+        layout.comments = self.comments_with(comments, &names)?;
         Ok(layout)
     }
 
-    /// The comments that were read, the render mode, and new ones.
-    pub(in super::super) fn comments_with(&self, comments: &[String]) -> Result<Vec<String>> {
+    /// The comments that were read, but for our own about columns of these names; the render mode; and new ones.
+    pub(in super::super) fn comments_with(&self, comments: &[String], columns: &[&str]) -> Result<Vec<String>> {
         let mut all = self.layout.comments.clone();
-        all.retain(|comment| !comment.starts_with(OWN));
+        let names_one = |comment: &String| columns.iter().any(|name| comment.contains(name));
+        all.retain(|comment| !(comment.starts_with(OWN) && names_one(comment)));
         let mode = match self.mode {
             RenderMode::Classic => "default",
             RenderMode::Mip | RenderMode::MipSplatting => "mip",
