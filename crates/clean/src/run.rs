@@ -120,7 +120,7 @@ impl<'a> Clean<'a> {
     ///
     /// # Errors
     /// If there is no camera, if a camera or a mask is impossible, if a lens distorts, if nothing would be left at any
-    /// strength, or [`Error::Interrupted`](octobayes::Error::Interrupted).
+    /// strength, or [`Error::Interrupted`].
     pub fn run(&self) -> Result<Cleaned> {
         if self.cameras.is_empty() {
             return Err(Error::setting("cameras", "at least one: what they show is what splats are held against", "0"));
