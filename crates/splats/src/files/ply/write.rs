@@ -9,7 +9,7 @@ use super::{DILATION, MODE, place_of_rest};
 use octobayes::io::AtomicFile;
 use octobayes::{Error, Result};
 
-/// What comments of this crate begin with. Those about columns that are written anew go.
+/// What comments of this crate begin with.
 const OWN: &str = "octobayes ";
 
 impl Splats {
@@ -49,11 +49,16 @@ impl Splats {
         Ok(layout)
     }
 
-    /// The comments that were read, but for our own about columns of these names; the render mode; and new ones.
+    /// The comments that were read, of our own those alone that are about columns that stay, as none of `columns` takes
+    /// their place; the render mode; and new ones.
     pub(in super::super) fn comments_with(&self, comments: &[String], columns: &[&str]) -> Result<Vec<String>> {
         let mut all = self.layout.comments.clone();
-        let names_one = |comment: &String| columns.iter().any(|name| comment.contains(name));
-        all.retain(|comment| !(comment.starts_with(OWN) && names_one(comment)));
+        let is_new = |name: &str| columns.contains(&name);
+        let stays = |comment: &String| {
+            let mut named = self.extra_names().into_iter().filter(|name| comment.contains(&format!("{name} = ")));
+            named.clone().next().is_some() && !named.any(is_new)
+        };
+        all.retain(|comment| !comment.starts_with(OWN) || stays(comment));
         let mode = match self.mode {
             RenderMode::Classic => "default",
             RenderMode::Mip | RenderMode::MipSplatting => "mip",
@@ -148,11 +153,18 @@ mod tests {
         let whole = splats(1).with_comments(vec!["by hand".into()]);
         let (u, w) = ([1.0, 2.0, 3.0, 4.0, 5.0], [0.5; 5]);
         whole
-            .write_ply(&first, &[("uncertainty", &u), ("weight", &w)], &["uncertainty in scene units".into()])
+            .write_ply(
+                &first,
+                &[("uncertainty", &u), ("weight", &w)],
+                &["uncertainty = in scene units".into(), "weight = of pixels".into(), "trained".into()],
+            )
             .unwrap();
         let read = Splats::read(&first).unwrap();
         assert_eq!(read.extra_names(), ["nx", "ny", "nz", "uncertainty", "weight"]);
-        assert_eq!(read.comments(), ["by hand", "octobayes uncertainty in scene units"]);
+        assert_eq!(
+            read.comments(),
+            ["by hand", "octobayes uncertainty = in scene units", "octobayes weight = of pixels", "octobayes trained"]
+        );
         assert_eq!((read.extra("uncertainty"), read.mode()), (Some(u.map(f64::from).to_vec()), RenderMode::Mip));
         // The next run has another scale, and no weights; three of the five splats are left.
         let part = read.keep(&[true, false, true, true, false]).unwrap();
@@ -163,7 +175,8 @@ mod tests {
             (again.extra("weight"), again.extra("uncertainty")),
             (Some(vec![0.5; 3]), Some(vec![7.0, 8.0, 9.0]))
         );
-        assert_eq!(again.comments(), ["by hand", "octobayes 2"]);
+        // What is about a column that stays.
+        assert_eq!(again.comments(), ["by hand", "octobayes weight = of pixels", "octobayes 2"]);
         assert_eq!(again.means(), [0, 2, 3].map(|i| whole.mean(i)));
         assert_eq!(again.sh(1), whole.sh(2));
     }
