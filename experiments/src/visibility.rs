@@ -8,12 +8,9 @@ use octobayes_synth::MeshScene;
 pub const NEAR: f64 = 1e-3;
 
 /// Whether a point is in a camera's image and nothing stands more than `slack` scene units before it.
+#[must_use]
 pub fn is_seen(mesh: &MeshScene, camera: &Camera, x: DVec3, slack: f64) -> bool {
-    let Some(([column, row], _)) = camera.project(x) else { return false };
-    let [width, height] = camera.resolution.map(f64::from);
     let distance = x.distance(camera.position);
     let ray = Ray::new(camera.position, x - camera.position);
-    (0.0..width).contains(&column)
-        && (0.0..height).contains(&row)
-        && mesh.nearest(&ray).is_none_or(|hit| hit.t > distance - slack)
+    camera.project_inside(x).is_some() && mesh.nearest(&ray).is_none_or(|hit| hit.t > distance - slack)
 }

@@ -121,6 +121,13 @@ impl Camera {
         })
     }
 
+    /// Image coordinates and depth of a scene point as [`Camera::project`]; `None` outside the image, too.
+    #[must_use]
+    pub fn project_inside(&self, x: DVec3) -> Option<([f64; 2], f64)> {
+        let is_inside = |at: &[f64; 2]| at.iter().zip(self.resolution).all(|(v, n)| (0.0..f64::from(n)).contains(v));
+        self.project(x).filter(|(at, _)| is_inside(at))
+    }
+
     /// What makes the camera impossible, or `None`. Meant for cameras read from files.
     #[must_use]
     pub fn defect(&self) -> Option<String> {

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::Camera;
+use crate::{Error, Result};
 
 /// The pixel of `from` along an axis that has the centre of pixel `i` of `to`.
 #[must_use]
@@ -150,6 +151,22 @@ impl Mask {
         }
         unreachable!("row {row} keeps fewer pixels than were counted")
     }
+}
+
+/// Refuses masks that are not one or none for each camera, of its size; an empty list is none for all.
+///
+/// # Errors
+/// If the number or a size differs.
+#[doc(hidden)]
+pub fn check_sizes(cameras: &[Camera], masks: &[Option<Mask>]) -> Result<()> {
+    let resolutions: Vec<[u32; 2]> = cameras.iter().map(|camera| camera.resolution).collect();
+    let sizes: Vec<Option<[u32; 2]>> = masks.iter().map(|mask| mask.as_ref().map(Mask::resolution)).collect();
+    let fits = |(size, of): (&Option<[u32; 2]>, &[u32; 2])| size.is_none_or(|size| size == *of);
+    if sizes.is_empty() || sizes.len() == resolutions.len() && sizes.iter().zip(&resolutions).all(fits) {
+        return Ok(());
+    }
+    let expected = format!("a mask or none for each camera, of its size: {resolutions:?}");
+    Err(Error::setting("masks", expected, format!("{sizes:?}")))
 }
 
 /// The number of pixels of cameras that their masks keep; `masks` has one or none for each, or is empty.

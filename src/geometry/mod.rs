@@ -19,6 +19,8 @@ pub use camera::Camera;
 pub use distortion::Distortion;
 pub use domain::{Domain, Norm};
 pub use lattice::{Lattice, MAX_LEVEL};
+#[doc(hidden)]
+pub use mask::check_sizes;
 pub use mask::{Mask, kept_pixels};
 pub use named::NamedCamera;
 pub use poses::{inverted, opencv};

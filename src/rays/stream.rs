@@ -11,7 +11,7 @@ use super::pixels::{PixelSample, PixelSequence, Pixels};
 use super::portions::{GROUP, Portions};
 use super::seeds::Purpose;
 use super::shard::{BATCH, RaySet, RunProgress, Shard};
-use crate::geometry::{Camera, Mask, Ray};
+use crate::geometry::{Camera, Mask, Ray, check_sizes};
 use crate::monitor::{Monitor, check};
 use crate::render::{RayBatch, RaySamples, Renderer, WeightedSamples};
 use crate::{Error, Result};
@@ -79,16 +79,11 @@ impl<'a> RayStream<'a> {
         if masks.iter().all(Option::is_none) {
             return Ok(self);
         }
-        let resolutions: Vec<[u32; 2]> = self.cameras.iter().map(|camera| camera.resolution).collect();
-        let sizes: Vec<Option<[u32; 2]>> = masks.iter().map(|mask| mask.as_ref().map(Mask::resolution)).collect();
-        let fits = |(size, of): (&Option<[u32; 2]>, &[u32; 2])| size.is_none_or(|size| size == *of);
-        if sizes.len() != resolutions.len() || !sizes.iter().zip(&resolutions).all(fits) {
-            let expected = format!("a mask or none for each camera, of its size: {resolutions:?}");
-            return Err(Error::setting("masks", expected, format!("{sizes:?}")));
-        }
+        check_sizes(self.cameras, masks)?;
         if masks.iter().flatten().all(|mask| mask.pixels() == 0) && masks.iter().all(Option::is_some) {
             return Err(Error::setting("masks", "pixels that were trained on", "masks that keep none"));
         }
+        let resolutions = self.cameras.iter().map(|camera| camera.resolution).collect();
         let pixels = PixelSequence::masked(self.pixels.kind(), self.pixels.seed(), resolutions, masks.to_vec());
         Ok(Self { pixels, ..self })
     }

@@ -163,11 +163,7 @@ impl SeenDepth {
     /// How far a point lies before what the camera sees in its direction, negative behind it, and what that may be off
     /// by, scene units. `None` outside the image.
     fn before_surface(&self, x: DVec3) -> Option<(f64, f64)> {
-        let ([column, row], _) = self.camera.project(x)?;
-        let [width, height] = self.camera.resolution.map(f64::from);
-        if !(0.0..width).contains(&column) || !(0.0..height).contains(&row) {
-            return None;
-        }
+        let ([column, row], _) = self.camera.project_inside(x)?;
         let distance = x.distance(self.camera.position);
         let slack = PIXELS * distance / self.camera.focal[0].min(self.camera.focal[1]);
         let depth = self.depths[row as usize * self.camera.resolution[0] as usize + column as usize];

@@ -156,10 +156,7 @@ fn colors(shot: &Shot, [width, height]: [u32; 2]) -> Vec<DVec3> {
 /// The angle at a point between the way to `eye` and that to the nearest training camera with the point in its
 /// picture, radians; π if none has.
 fn nearest(cameras: &[Camera], x: DVec3, eye: DVec3) -> f64 {
-    let shows = |camera: &&Camera| {
-        let Some((at, _)) = camera.project(x) else { return false };
-        at.into_iter().zip(camera.resolution).all(|(at, size)| (0.0..f64::from(size)).contains(&at))
-    };
+    let shows = |camera: &&Camera| camera.project_inside(x).is_some();
     let angle = |camera: &Camera| (eye - x).angle_between(camera.position - x);
     cameras.iter().filter(shows).map(angle).fold(std::f64::consts::PI, f64::min)
 }

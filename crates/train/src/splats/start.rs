@@ -86,10 +86,8 @@ impl<'a> Silhouette<'a> {
 
 /// The pixel that shows `x`.
 fn pixel(shot: &Shot, x: DVec3) -> Option<usize> {
-    let ([column, row], _) = shot.camera.project(x)?;
-    let [width, height] = shot.camera.resolution.map(f64::from);
-    let is_inside = (0.0..width).contains(&column) && (0.0..height).contains(&row);
-    is_inside.then(|| row as usize * width as usize + column as usize)
+    let ([column, row], _) = shot.camera.project_inside(x)?;
+    Some(row as usize * shot.camera.resolution[0] as usize + column as usize)
 }
 
 /// Cells of equal edge that fill a box.

@@ -41,11 +41,7 @@ impl Warp {
         let mut found = Disagreement { depth: WORST, color: 0.0 };
         let mut seen = 0.0;
         for (camera, pixels) in &self.0 {
-            let Some(([column, row], _)) = camera.project(x) else { continue };
-            let [width, height] = camera.resolution.map(f64::from);
-            if !(0.0..width).contains(&column) || !(0.0..height).contains(&row) {
-                continue;
-            }
+            let Some(([column, row], _)) = camera.project_inside(x) else { continue };
             let pixel = &pixels[row as usize * camera.resolution[0] as usize + column as usize];
             let distance = x.distance(camera.position);
             if pixel.opacity > 0.5 {
