@@ -53,6 +53,6 @@ pub use needs::given_up;
 pub use purpose::{Choices, Purpose};
 pub use report::PERCENTS;
 pub use report::{Finished, described};
-pub use run::{Prepared, Session, TrainingViews};
+pub use run::{CheckedViews, Prepared, Session};
 pub use scale::{ScaleKind, TrainingPixels};
 pub use threshold::Threshold;
