@@ -25,6 +25,7 @@ pub mod memory;
 pub mod meshes;
 pub mod program;
 pub mod ranking;
+pub mod recall;
 pub mod report;
 pub mod scenes;
 pub mod settings;

@@ -635,7 +635,8 @@ def splat_columns(
     where rays passed, 'seen' (0 never seen, 1 free, 2 constrained, as ``u.seen``); and with the training ``cameras``
     'weight' (sum of the splat's shares of about ``pixels`` pixels that were looked at), 'views' (training views in
     which its share of one of these pixels exceeds 0.05) and 'front_share' (the part of its weight that is nearer than
-    where half of a pixel's light is reached, by more than a hundredth of that depth: near 1 for floaters).
+    where half of a pixel's light is reached, by more than a hundredth of that depth, and in empty pixels once a view
+    contradicts the splat: near 1 for floaters).
     """
     u = _field("u", u)
     splats = _opened(splats, cameras, u)

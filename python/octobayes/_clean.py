@@ -42,7 +42,7 @@ class Cleaned:
         path = as_path("path", path)
         if os.path.exists(path) and os.path.samefile(path, self._splats.name):
             raise wrong("path", "a file other than the model", path)
-        _octobayes.write_kept_splats(self._splats._model, self.kept.tolist(), path)
+        _octobayes.write_kept_splats(self._splats._model, self.kept, path)
 
 
 def clean(

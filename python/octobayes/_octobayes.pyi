@@ -174,7 +174,7 @@ def clean_splats(
 ) -> dict[str, Any]:
     """reason, strength uint8 [n], score, front_share, weight [n], views uint32 [n]."""
 
-def write_kept_splats(splats: Splats, kept: Sequence[bool], path: str) -> None: ...
+def write_kept_splats(splats: Splats, kept: NDArray[np.bool_], path: str) -> None: ...
 def export_splats(
     splats: Splats,
     field: Uncertainty,

@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use octobayes::{Error, Result};
-use octobayes_clean::{Clean, Removal};
+use octobayes_clean::{Clean, Evidence, Removal};
 use octobayes_session::OpenedModel;
 use octobayes_show::export::write_splats;
-use octobayes_splats::{RenderMode, SeenSplats, SplatRenderer, Splats as Gaussians};
+use octobayes_splats::{RenderMode, Splats as Gaussians};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -173,12 +173,12 @@ pub fn seen_splats<'py>(
 ) -> PyResult<Seen<'py>> {
     let (splats, rows, options) = (splats.get().0.clone(), cameras(&rows)?, Options(options));
     let (settings, pixels) = (image_settings(&options)?, options.or("pixels", 0)?);
-    let seen = work(py, None, progress, |engine| {
+    let (seen, _) = work(py, None, progress, |engine| {
         let splats = splats.splats();
-        let renderer = SplatRenderer::new(splats, settings.background);
-        SeenSplats::measure(&renderer, &rows, settings.offset_for(splats), pixels, engine.monitor())
+        Evidence::measure(splats, &rows, settings.offset_for(splats), pixels, engine.monitor())
     })?;
-    let [weights, front] = [seen.weights, seen.front].map(|values| PyArray1::from_vec(py, values));
+    let front = front_shares(&seen);
+    let [weights, front] = [seen.weight, front].map(|values| PyArray1::from_vec(py, values));
     Ok((weights, PyArray1::from_vec(py, seen.views), front))
 }
 
@@ -194,12 +194,9 @@ pub fn clean_splats<'py>(
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let (splats, rows) = (splats.get().0.clone(), cameras(&rows)?);
-    let (cleaned, shares) = work(py, None, progress, |engine| {
-        let splats = splats.splats();
-        let clean = Clean::new(splats, &rows).pixel_offset(pixel_offset).pixels(pixels).monitor(engine.monitor());
-        let cleaned = clean.run()?;
-        let shares: Vec<f64> = (0..splats.len()).map(|i| cleaned.evidence.front_share(i)).collect();
-        Ok((cleaned, shares))
+    let cleaned = work(py, None, progress, |engine| {
+        let clean = Clean::new(splats.splats(), &rows).pixel_offset(pixel_offset).pixels(pixels);
+        clean.monitor(engine.monitor()).run()
     })?;
     let of = |value: fn(&Removal) -> u8| -> Vec<u8> {
         cleaned.removals.iter().map(|removal| removal.as_ref().map_or(0, |removal| 1 + value(removal))).collect()
@@ -208,16 +205,21 @@ pub fn clean_splats<'py>(
     columns.set_item("reason", PyArray1::from_vec(py, of(|removal| removal.reason as u8)))?;
     columns.set_item("strength", PyArray1::from_vec(py, of(|removal| removal.strength as u8)))?;
     columns.set_item("score", PyArray1::from_vec(py, cleaned.scores))?;
-    columns.set_item("front_share", PyArray1::from_vec(py, shares))?;
+    columns.set_item("front_share", PyArray1::from_vec(py, front_shares(&cleaned.evidence)))?;
     columns.set_item("weight", PyArray1::from_vec(py, cleaned.evidence.weight))?;
     columns.set_item("views", PyArray1::from_vec(py, cleaned.evidence.views))?;
     Ok(columns)
 }
 
+fn front_shares(of: &Evidence) -> Vec<f64> {
+    (0..of.weight.len()).map(|i| of.front_share(i)).collect()
+}
+
 /// Writes the splats for which `kept` is true, in the format of the path's extension.
 #[pyfunction]
-pub fn write_kept_splats(splats: &Bound<'_, Splats>, kept: Vec<bool>, path: PathBuf) -> PyResult<()> {
-    splats.get().0.splats().clone().keep(&kept).or_raise()?.write(&path).or_raise()
+pub fn write_kept_splats(splats: &Bound<'_, Splats>, kept: PyReadonlyArray1<'_, bool>, path: PathBuf) -> PyResult<()> {
+    let kept = kept.as_slice()?;
+    splats.get().0.splats().clone().keep(kept).or_raise()?.write(&path).or_raise()
 }
 
 /// Writes the splats with their uncertainty; with cameras, what these show of them as well.
@@ -237,9 +239,8 @@ pub fn export_splats(
     let threshold = options.get::<f64>("threshold")?;
     work(py, None, progress, |engine| {
         let splats = splats.splats();
-        let renderer = SplatRenderer::new(splats, settings.background);
         let offset = settings.offset_for(splats);
-        let measure = |rows: &Vec<_>| SeenSplats::measure(&renderer, rows, offset, pixels, engine.monitor());
+        let measure = |rows: &Vec<_>| Evidence::measure(splats, rows, offset, pixels, engine.monitor());
         let seen = rows.as_ref().map(measure).transpose()?;
         write_splats(&path, splats, &field, seen.as_ref(), threshold).map(|_| ())
     })

@@ -4,21 +4,15 @@ plyfile opens the written file and finds all properties in their order. `splat-t
 keeps exactly the splats below X.
 """
 
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 from plyfile import PlyData
+from tools import run
 
 COLUMNS = ["uncertainty", "log10_uncertainty", "seen", "weight", "views", "front_share"]
-
-
-def run(*words: str | Path) -> None:
-    done = subprocess.run(words, capture_output=True, text=True)
-    if done.returncode != 0:
-        sys.exit(f"{' '.join(map(str, words))}: {done.stderr}")
 
 
 def vertices(path: Path) -> PlyData:

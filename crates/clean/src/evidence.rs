@@ -1,14 +1,16 @@
 //! What training views show of each splat, and where it stands to the surfaces that they show.
 
 use glam::{DVec3, Vec3};
+use octobayes::Result;
 use octobayes::geometry::Camera;
-use octobayes_splats::{MIN_TRANSMITTANCE, MOST_OPAQUE};
+use octobayes::monitor::Monitor;
+use octobayes_splats::{MIN_TRANSMITTANCE, MOST_OPAQUE, Splats, stride_for};
 use rayon::prelude::*;
 
-use crate::views::{Listed, ListedRow, ListedView};
+use crate::views::{Listed, ListedRow, ListedView, Views};
 
 /// A splat is nearer than a surface if it is so by more than this part of the surface's depth.
-const SLACK: f64 = 0.01;
+pub const SLACK: f64 = 0.01;
 /// A pixel that shows less light than this shows empty space.
 const EMPTY: f64 = 0.5;
 /// Where less light is left, more splats may be behind those that are listed: the next one may have taken 99 % of it.
@@ -16,7 +18,7 @@ const CUT: f64 = MIN_TRANSMITTANCE / (1.0 - MOST_OPAQUE);
 /// Least weight in a view by which it can contradict a splat.
 const LEAST: f64 = 1e-3;
 /// A view shows a splat if the splat's share of one of its pixels exceeds this.
-const SHOWN: f64 = 0.05;
+pub const SHOWN: f64 = 0.05;
 /// Steps between pixels that are looked at, to either side of the one nearest to a centre.
 const WINDOW: i64 = 1;
 
@@ -46,10 +48,37 @@ pub struct Evidence {
 }
 
 impl Evidence {
+    /// Looks at up to `pixels` pixels of all cameras together, evenly spread over each image. Returns how many these
+    /// are as well.
+    ///
+    /// # Errors
+    /// If a lens distorts, or [`Error::Interrupted`](octobayes::Error::Interrupted).
+    pub fn measure(
+        splats: &Splats,
+        cameras: &[Camera],
+        pixel_offset: f64,
+        pixels: u64,
+        monitor: &dyn Monitor,
+    ) -> Result<(Self, u64)> {
+        let stride = stride_for(cameras.iter().map(Camera::pixels).sum(), pixels);
+        let views = Views { cameras, masks: &[], pixel_offset, stride, every: 1 };
+        let (mut sums, kept) = (vec![Sums::default(); splats.len()], vec![true; splats.len()]);
+        let mut looked_at = 0;
+        views.list(splats, monitor, |view| {
+            looked_at += view.pixels();
+            add(&mut sums, &view, splats.means(), &kept);
+        })?;
+        Ok((Self::from_sums(&sums), looked_at))
+    }
+
     /// What the views show of the splats at `means` that are `kept` (`[n]`), without the others.
     pub(crate) fn of(views: &[ListedView], means: &[Vec3], kept: &[bool]) -> Self {
         let mut sums = vec![Sums::default(); means.len()];
         views.iter().for_each(|view| add(&mut sums, view, means, kept));
+        Self::from_sums(&sums)
+    }
+
+    fn from_sums(sums: &[Sums]) -> Self {
         let each = |value: fn(&Sums) -> f64| sums.iter().map(value).collect();
         let count = |value: fn(&Sums) -> u32| sums.iter().map(value).collect();
         Self {
@@ -220,17 +249,10 @@ enum Stand {
     Masked,
 }
 
-/// Where a camera's image shows a point, pixels, and its depth; `None` outside the image.
-pub(crate) fn seen_at(camera: &Camera, x: DVec3) -> Option<([f64; 2], f64)> {
-    let (at, depth) = camera.project(x)?;
-    let is_inside = at.iter().zip(camera.resolution).all(|(v, side)| *v >= 0.0 && *v < f64::from(side));
-    is_inside.then_some((at, depth))
-}
-
 impl DepthMap {
     /// `None` outside the image.
     fn stand(&self, camera: &Camera, x: DVec3) -> Option<Stand> {
-        let (at, depth) = seen_at(camera, x)?;
+        let (at, depth) = camera.project_inside(x)?;
         // The nearest of the pixels that were looked at.
         let [start, stride] = [self.start, self.stride].map(i64::from);
         let middle = at.map(|v| (v as i64 - start + stride / 2).div_euclid(stride));
@@ -253,3 +275,6 @@ impl DepthMap {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -34,7 +34,7 @@ mod rule;
 mod run;
 mod views;
 
-pub use self::evidence::Evidence;
+pub use self::evidence::{Evidence, SHOWN, SLACK};
 pub use self::rule::{Reason, Strength};
 pub use self::run::{Clean, Cleaned, Removal};
 // The study of the rule's constants tries others.

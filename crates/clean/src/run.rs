@@ -4,14 +4,13 @@ use glam::{DVec3, Vec3};
 use octobayes::geometry::{Camera, Mask};
 use octobayes::monitor::{Monitor, Silent, check};
 use octobayes::{Error, Result};
-use octobayes_splats::{SplatRenderer, Splats};
+use octobayes_splats::{Splats, stride_for};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::evidence::{Evidence, seen_at};
 use crate::rule::Stage;
 use crate::views::{ListedView, Views};
-use crate::{Reason, Rule, Strength};
+use crate::{Evidence, Reason, Rule, Strength};
 
 /// Most projections of a splat to a view, all together: each takes a third of a microsecond on two cores.
 /// [`LEAST_VIEWS`] come first.
@@ -119,26 +118,22 @@ impl<'a> Clean<'a> {
     /// Finds what goes at each strength.
     ///
     /// # Errors
-    /// If there is no camera, if a camera or a mask is impossible, if a lens distorts, if nothing would be left at any
+    /// If there is no camera, if masks are not those of the cameras, if a lens distorts, if nothing would be left at any
     /// strength, or [`Error::Interrupted`].
     pub fn run(&self) -> Result<Cleaned> {
         if self.cameras.is_empty() {
             return Err(Error::setting("cameras", "at least one: what they show is what splats are held against", "0"));
         }
-        SplatRenderer::check_cameras(self.cameras)?;
-        self.check_views()?;
         let n = self.splats.len();
         let most = (MOST_PROJECTED / n).max(LEAST_VIEWS);
         let every = self.cameras.len().div_ceil(most);
         let all: u64 = self.cameras.iter().map(Camera::pixels).sum();
-        let of_views = all as f64 / every as f64;
-        let stride = ((of_views / self.pixels.max(1) as f64).sqrt().ceil() as u32).max(1);
+        let stride = stride_for(all / every as u64, self.pixels);
         let (cameras, masks, pixel_offset) = (self.cameras, self.masks, self.pixel_offset);
         let views = Views { cameras, masks, pixel_offset, stride, every };
-        // What lies behind the splats takes no part in their weights.
-        let listed = views.list(&SplatRenderer::new(self.splats, Vec3::ZERO), self.monitor)?;
-        let rows = listed.iter().flat_map(|view| &view.rows);
-        let looked_at = rows.map(|row| row.pixels().flatten().count() as u64).sum();
+        let mut listed = Vec::new();
+        views.list(self.splats, self.monitor, |view| listed.push(view))?;
+        let looked_at = listed.iter().map(ListedView::pixels).sum();
         let evidence = Evidence::of(&listed, self.splats.means(), &vec![true; n]);
         let (removals, scores) = (vec![None; n], vec![0.0; n]);
         let mut cleaned = Cleaned { removals, evidence, scores, pixels: [looked_at, all], looks: 1 };
@@ -156,30 +151,10 @@ impl<'a> Clean<'a> {
         Ok(cleaned)
     }
 
-    /// Refuses impossible cameras and masks of other images.
-    fn check_views(&self) -> Result<()> {
-        if let Some((i, defect)) = self.cameras.iter().map(Camera::defect).enumerate().find_map(|(i, d)| Some((i, d?)))
-        {
-            return Err(Error::setting(format!("camera {i}"), "a possible one", defect));
-        }
-        let (cameras, masks) = (self.cameras.len(), self.masks.len());
-        if masks > 0 && masks != cameras {
-            return Err(Error::setting("masks", format!("one for each of {cameras} cameras"), masks.to_string()));
-        }
-        for (i, (camera, mask)) in self.cameras.iter().zip(self.masks).enumerate() {
-            let ([w, h], Some(found)) = (camera.resolution, mask.as_ref().map(Mask::resolution)) else { continue };
-            if found != [w, h] {
-                let found = format!("{} x {}", found[0], found[1]);
-                return Err(Error::setting(format!("mask {i}"), format!("{w} x {h} pixels, as its camera"), found));
-            }
-        }
-        Ok(())
-    }
-
     /// `[n]`: whether the image of a camera that was not looked through has the centre.
     fn in_others(&self, views: &Views) -> Vec<bool> {
         let others: Vec<&Camera> = views.others().collect();
-        let is_in_one = |x: &Vec3| others.iter().any(|camera| seen_at(camera, x.as_dvec3()).is_some());
+        let is_in_one = |x: &Vec3| others.iter().any(|camera| camera.project_inside(x.as_dvec3()).is_some());
         self.splats.means().par_iter().map(is_in_one).collect()
     }
 

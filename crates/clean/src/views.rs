@@ -1,10 +1,11 @@
 //! What pixels of training views show, listed once: the splats can then be looked at without some of them at once.
 
+use glam::Vec3;
 use octobayes::Result;
-use octobayes::geometry::{Camera, Mask};
+use octobayes::geometry::{Camera, Mask, check_sizes};
 use octobayes::monitor::{Monitor, check};
 use octobayes::render::Outputs;
-use octobayes_splats::{Hits, SplatRenderer, SplatView};
+use octobayes_splats::{Hits, SplatRenderer, SplatView, Splats, strided_pixels};
 use rayon::prelude::*;
 
 /// Which pixels of training views are looked at.
@@ -50,6 +51,13 @@ pub(crate) struct ListedRow {
     is_masked: Vec<bool>,
 }
 
+impl ListedView {
+    /// Number of pixels that were looked at.
+    pub fn pixels(&self) -> u64 {
+        self.rows.iter().map(|row| row.pixels().flatten().count() as u64).sum()
+    }
+}
+
 impl ListedRow {
     /// The splats of every column, front to back; `None` where the mask leaves it out.
     pub fn pixels(&self) -> impl Iterator<Item = Option<&[Listed]>> {
@@ -60,20 +68,21 @@ impl ListedRow {
 }
 
 impl Views<'_> {
-    /// Lists what the views show. Takes 12 bytes a splat and pixel.
-    pub fn list(&self, renderer: &SplatRenderer, monitor: &dyn Monitor) -> Result<Vec<ListedView>> {
-        let chosen: Vec<usize> = (0..self.cameras.len()).step_by(self.every).collect();
-        monitor.begin("training views", chosen.len() as u64);
-        let list = |i: usize| {
+    /// Lists what each view shows, 12 bytes a splat and pixel, and passes it on.
+    pub fn list(&self, splats: &Splats, monitor: &dyn Monitor, mut take: impl FnMut(ListedView)) -> Result<()> {
+        SplatRenderer::check_cameras(self.cameras)?;
+        check_sizes(self.cameras, self.masks)?;
+        // What lies behind the splats takes no part in their weights.
+        let renderer = SplatRenderer::new(splats, Vec3::ZERO);
+        monitor.begin("training views", self.cameras.len().div_ceil(self.every) as u64);
+        for (i, camera) in self.cameras.iter().enumerate().step_by(self.every) {
             check(monitor)?;
             let mask = self.masks.get(i).and_then(Option::as_ref);
-            let view = self.view(&renderer.prepare(&self.cameras[i], Outputs::Colors), mask);
+            take(self.view(&renderer.prepare(camera, Outputs::Colors), mask));
             monitor.advance(1);
-            Ok(view)
-        };
-        let views = chosen.into_iter().map(list).collect();
+        }
         monitor.end();
-        views
+        Ok(())
     }
 
     /// The cameras whose views are left out.
@@ -82,12 +91,10 @@ impl Views<'_> {
     }
 
     fn view(&self, view: &SplatView, mask: Option<&Mask>) -> ListedView {
-        let [width, height] = view.camera().resolution;
-        let start = (self.stride / 2).min(width - 1).min(height - 1);
-        let along = |side: u32| (start..side).step_by(self.stride as usize);
-        let of_row = |row: u32| {
+        let [columns, rows] = strided_pixels(view.camera(), self.stride);
+        let of_row = |&row: &u32| {
             let (mut hits, mut listed) = (Hits::default(), ListedRow::default());
-            for column in along(width) {
+            for &column in &columns {
                 let is_masked = mask.is_some_and(|mask| !mask.keeps(column, row));
                 if !is_masked {
                     view.hits([column, row].map(|i| f64::from(i) + self.pixel_offset), &mut hits);
@@ -103,7 +110,7 @@ impl Views<'_> {
             listed.hits.shrink_to_fit();
             listed
         };
-        let rows = along(height).collect::<Vec<_>>().into_par_iter().map(of_row).collect();
-        ListedView { camera: *view.camera(), start, stride: self.stride, rows }
+        let rows = rows.par_iter().map(of_row).collect();
+        ListedView { camera: *view.camera(), start: columns[0], stride: self.stride, rows }
     }
 }

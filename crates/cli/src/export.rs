@@ -12,6 +12,7 @@ use octobayes::estimate::{Model, RaySettings};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
+use octobayes_clean::Evidence;
 use octobayes_data::write_official;
 use octobayes_data::{FrameSplit, Part, Selection, Views};
 use octobayes_session::{OpenedModel, Threshold, image_settings};
@@ -19,7 +20,7 @@ use octobayes_show::export::{
     MeshSettings, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
     write_splats,
 };
-use octobayes_splats::{SeenSplats, SplatRenderer, Splats};
+use octobayes_splats::Splats;
 
 /// Write a field for other tools: NumPy, ParaView, CloudCompare, Blender, spreadsheets, the official code
 ///
@@ -303,8 +304,7 @@ impl Args {
                 CommandFiles::default().images(&views).output("--output", &self.output).check()?;
                 let frames = FrameSplit::new(views).select(Part::Training, &Selection::All, |_| true)?;
                 let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
-                let renderer = SplatRenderer::new(splats, settings.background);
-                Some(SeenSplats::measure(&renderer, &cameras, settings.offset_for(splats), self.pixels, bars)?)
+                Some(Evidence::measure(splats, &cameras, settings.offset_for(splats), self.pixels, bars)?)
             }
             None => {
                 announce!("note: without --cameras, the columns weight, views and front_share are left out");

@@ -278,10 +278,9 @@ pub(super) struct Layout {
 }
 
 /// How a file packed its numbers. It is packed in the same way when it is written in its own format.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Packing {
     /// It did not.
-    #[default]
     None,
     /// Splats that follow each other share ranges, and lie near each other: `.compressed.ply`.
     Chunks,

@@ -44,7 +44,7 @@ use octobayes::{Error, Result};
 use self::columns::Layout;
 pub use self::mode::RenderMode;
 pub use self::render::{SeenSpace, SplatRenderer, seen_domain, tile_of};
-pub use self::seen::{IN_FRONT, MIN_SHARE, SeenSplats};
+pub use self::seen::SeenSplats;
 // What only our own crates name.
 #[doc(hidden)]
 pub use self::{
@@ -53,6 +53,7 @@ pub use self::{
         FAINTEST, FRUSTUM_MARGIN, Footprint, Hit, Hits, MIN_TRANSMITTANCE, MOST_OPAQUE, NEAR, Projector, Shape,
         SplatView, boxed, middle,
     },
+    seen::{stride_for, strided_pixels},
     summary::{QUANTILES, Summary},
 };
 // Tests of other crates compare with the slow reference.
@@ -254,6 +255,18 @@ impl Splats {
     #[must_use]
     pub fn with_mode(self, mode: RenderMode) -> Self {
         Self { mode, ..self }
+    }
+
+    /// The same splats in colours, `[n]`, that do not depend on the direction; without what else the file had.
+    ///
+    /// # Panics
+    /// If there is not one colour for each splat.
+    #[must_use]
+    pub fn in_colors(&self, colors: &[Vec3]) -> Self {
+        assert_eq!(colors.len(), self.len(), "colours of {} splats", self.len());
+        let sh = colors.iter().flat_map(|color| color.to_array().map(|v| files::constant_of(v.into()))).collect();
+        let (layout, notes) = (Layout::original(0, self.len()), Vec::new());
+        Self { sh, degree: 0, layout, notes, ..self.clone() }
     }
 
     /// What a user should know of the file, a sentence each: splats that were dropped, numbers that were replaced.

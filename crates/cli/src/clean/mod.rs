@@ -9,16 +9,17 @@ use serde_json::json;
 
 use self::picture::BeforeAfter;
 use super::files::CommandFiles;
-use super::options::{CameraOptions, FrameOptions, ModelArgument, choice, count, heading, parse_background};
+use super::options::{CameraOptions, FrameOptions, ModelArgument, TrainingOptions, choice, count, heading};
 use super::progress::Bars;
 use super::streams::tell;
 use octobayes::estimate::Model;
+use octobayes::io::AtomicFile;
 use octobayes::monitor::Message;
 use octobayes::{Error, Result};
 use octobayes_clean::{Clean, Cleaned, Reason, Strength};
 use octobayes_data::Part;
 use octobayes_session::{Choices, OpenedModel, Session};
-use octobayes_splats::{RenderMode, Splats};
+use octobayes_splats::Splats;
 
 /// Level of the grid over which the cameras are checked; no field is computed.
 const LEVEL: u8 = 6;
@@ -46,29 +47,8 @@ pub struct Args {
     #[command(flatten)]
     frames: FrameOptions,
 
-    /// Background colour of the training: white, black or r,g,b in [0, 1] [default: as in `uncertainty`]
-    #[arg(
-        long,
-        value_name = "COLOR",
-        value_parser = parse_background,
-        help_heading = heading::INPUT,
-        hide_short_help = true,
-    )]
-    background: Option<Vec3>,
-
-    /// Use the cameras even if the model does not show the images that lie beside them
-    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
-    force: bool,
-
-    /// How splats smaller than a pixel are drawn: as they were trained [default: as their file says, else classic]
-    #[arg(
-        long,
-        value_name = "MODE",
-        value_parser = choice::<RenderMode>(),
-        help_heading = heading::INPUT,
-        hide_short_help = true,
-    )]
-    splat_mode: Option<RenderMode>,
+    #[command(flatten)]
+    training: TrainingOptions,
 
     /// How much goes: careful, normal or strong
     #[arg(
@@ -124,11 +104,12 @@ impl Args {
             .outputs("--report", &self.report)
             .outputs("--picture", &self.picture);
         files.check()?;
-        if !is_plain_ply(&removed) {
+        if !Splats::takes_columns(&removed) {
             let expected = "a name that ends in `.ply`, but not in `.compressed.ply`, which has no place for reasons";
             return Err(Error::setting("--removed", expected, removed.display().to_string()));
         }
-        let model = OpenedModel::for_cameras(&self.model.model, self.cameras.cameras.is_some(), self.splat_mode)?;
+        let model =
+            OpenedModel::for_cameras(&self.model.model, self.cameras.cameras.is_some(), self.training.splat_mode)?;
         let splats = Splats::of(&*model.model).ok_or_else(|| {
             let expected = "Gaussian splats; of volumes `uncertainty` finds what is loosely held, and \
                             `render --threshold` shows them without";
@@ -139,18 +120,18 @@ impl Args {
         }
         let cameras = self.cameras.training(&self.frames, Some(&*model.model), &self.model.model)?;
         files.images(&cameras.views).check()?;
-        let background = self.background.unwrap_or(Vec3::ONE);
+        let background = self.training.background.unwrap_or(Vec3::ONE);
         let (domain, messages) = splats.covered(&cameras.views.cameras(), background, bars)?;
         // Its notes are about a field, which there is none of.
         messages.into_iter().filter(|message| matches!(message, Message::Warning(_))).for_each(tell);
         let session = Session::new(cameras.views, format!("{} seen by {}", model.source, cameras.source))?
             .domain(Some(domain))
             .choices(Choices { level: Some(LEVEL), ..Choices::default() })
-            .background(self.background)
+            .background(self.training.background)
             .model_file(Some(PathBuf::from(&model.name)))
-            .force(self.force);
+            .force(self.training.force);
         // What is wrong with the cameras is found before they are held against the splats.
-        let views = session.prepare(&*model.model, bars, &mut tell)?.training_views();
+        let views = session.prepare(&*model.model, bars, &mut tell)?.checked_views();
         let cleaned = Clean::new(splats, views.cameras)
             .masks(views.masks)
             .pixel_offset(views.pixel_offset)
@@ -180,7 +161,7 @@ impl Args {
             write_columns(&splats.clone().keep(&gone)?, removed_path, cleaned, &gone, self.strength)?;
         }
         self.report.as_ref().map_or(Ok(()), |path| write_report(path, splats, cleaned))?;
-        if is_plain_ply(&self.output) {
+        if Splats::takes_columns(&self.output) {
             write_columns(&left, &self.output, cleaned, &kept, self.strength)?;
         } else {
             left.write(&self.output)?;
@@ -236,12 +217,6 @@ impl Args {
     }
 }
 
-/// Whether a file is a `.ply` that has a place for columns.
-fn is_plain_ply(path: &Path) -> bool {
-    let name = path.to_string_lossy().to_ascii_lowercase();
-    name.ends_with(".ply") && !name.ends_with(".compressed.ply")
-}
-
 /// The default file of what is removed.
 fn beside(output: &Path) -> PathBuf {
     let stem = output.with_extension("");
@@ -280,14 +255,15 @@ fn write_columns(splats: &Splats, path: &Path, cleaned: &Cleaned, chosen: &[bool
 
 /// Writes a row for every splat.
 fn write_report(path: &Path, splats: &Splats, cleaned: &Cleaned) -> Result<()> {
-    let mut table = csv::Writer::from_writer(Vec::new());
+    let failed = |e: csv::Error| Error::io(path, "cannot write")(e.into());
+    let mut table = csv::Writer::from_writer(AtomicFile::create(path)?);
     let head = ["splat", "x", "y", "z", "reason", "strength", "score", "front_share", "weight", "peak", "views"];
-    let mut rows = vec![head.map(str::to_string)];
+    table.write_record(head).map_err(failed)?;
     for (i, removal) in cleaned.removals.iter().enumerate() {
         let [x, y, z] = splats.mean(i).to_array().map(|v| v.to_string());
         let (reason, strength) = removal.map_or(("kept", ""), |r| (r.reason.name(), r.strength.name()));
         let of = &cleaned.evidence;
-        rows.push([
+        let row = [
             i.to_string(),
             x,
             y,
@@ -299,13 +275,9 @@ fn write_report(path: &Path, splats: &Splats, cleaned: &Cleaned) -> Result<()> {
             format!("{:.3e}", of.weight[i]),
             format!("{:.4}", of.peak[i]),
             of.views[i].to_string(),
-        ]);
+        ];
+        table.write_record(row).map_err(failed)?;
     }
-    let written = rows.iter().try_for_each(|row| table.write_record(row));
-    let failed = |e: String| Error::malformed(path, "report", "rows", e);
-    written.map_err(|e| failed(e.to_string()))?;
-    let bytes = table.into_inner().map_err(|e| failed(e.to_string()))?;
-    let mut file = octobayes::io::AtomicFile::create(path)?;
-    std::io::Write::write_all(&mut file, &bytes).map_err(Error::io(path, "cannot write"))?;
+    let file = table.into_inner().map_err(|e| Error::io(path, "cannot write")(e.into_error()))?;
     file.commit()
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use glam::{DVec3, Quat, Vec3};
+use glam::{DVec3, Vec3};
 use octobayes::Result;
 use octobayes::geometry::Camera;
 use octobayes::monitor::Monitor;
@@ -17,30 +17,21 @@ const CAMERAS: usize = 8;
 /// Longest side of the images in which it is looked for, and of those that are written, pixels.
 const SKETCH: f64 = 128.0;
 const SIDE: f64 = 480.0;
-/// The constant harmonic, by which a colour becomes a coefficient.
-const CONSTANT: f32 = 0.282_094_8;
-
-/// The colour of a reason.
-fn tint(reason: Reason) -> Vec3 {
-    match reason {
-        Reason::Floating => Vec3::new(0.9, 0.1, 0.1),
-        Reason::Unseen => Vec3::new(0.1, 0.3, 0.9),
-        Reason::Outside => Vec3::new(0.6, 0.1, 0.8),
-        Reason::Transparent => Vec3::new(0.95, 0.6, 0.0),
-    }
-}
+/// The colour of each [`Reason`], in their order.
+const TINTS: [(&str, Vec3); 4] = [
+    ("red", Vec3::new(0.9, 0.1, 0.1)),
+    ("blue", Vec3::new(0.1, 0.3, 0.9)),
+    ("violet", Vec3::new(0.6, 0.1, 0.8)),
+    ("orange", Vec3::new(0.95, 0.6, 0.0)),
+];
 
 /// The splats in grey, but for those that go.
-fn tinted(splats: &Splats, reasons: &[Option<Reason>]) -> Result<Splats> {
-    let color = |i: usize| {
-        let grey = 0.35 + 0.6 * splats.constant_color(i).clamp(Vec3::ZERO, Vec3::ONE).element_sum() / 3.0;
-        reasons[i].map_or(Vec3::splat(grey), tint)
+fn tinted(splats: &Splats, reasons: &[Option<Reason>]) -> Splats {
+    let grey = |i| 0.35 + 0.6 * splats.constant_color(i).clamp(Vec3::ZERO, Vec3::ONE).element_sum() / 3.0;
+    let color = |(i, reason): (usize, &Option<Reason>)| {
+        reason.map_or_else(|| Vec3::splat(grey(i)), |reason| TINTS[reason as usize].1)
     };
-    let n = splats.len();
-    let sh = (0..n).flat_map(|i| ((color(i) - 0.5) / CONSTANT).to_array()).collect();
-    let rotations: Vec<Quat> = (0..n).map(|i| splats.rotation(i)).collect();
-    let (means, scales) = (splats.means().to_vec(), splats.log_scales().to_vec());
-    Splats::new(means, scales, rotations, splats.opacity_logits().to_vec(), sh, 0, splats.mode())
+    splats.in_colors(&reasons.iter().enumerate().map(color).collect::<Vec<_>>())
 }
 
 /// Splats before and after, and the cameras that may show them.
@@ -73,11 +64,9 @@ impl BeforeAfter<'_> {
                 best = (differ, camera);
             }
         }
-        let marked = tinted(self.splats, self.reasons)?;
-        let counts = |reason: &Reason| self.reasons.iter().filter(|found| **found == Some(*reason)).count();
-        let colors = ["red", "blue", "violet", "orange"];
-        let named = Reason::ALL.iter().zip(colors).filter(|(reason, _)| counts(reason) > 0);
-        let named: Vec<String> = named.map(|(reason, color)| format!("{color} {reason}")).collect();
+        let marked = tinted(self.splats, self.reasons);
+        let named = Reason::ALL.iter().zip(TINTS).filter(|(reason, _)| self.reasons.contains(&Some(**reason)));
+        let named: Vec<String> = named.map(|(reason, (color, _))| format!("{color} {reason}")).collect();
         let titles = ["before".to_string(), format!("what goes: {}", named.join(", ")), "after".to_string()];
         let panels = [self.splats, &marked, self.left].into_iter().zip(&titles).map(|(splats, title)| {
             let (resolution, colors) = image(splats, best.1, SIDE)?;

@@ -3,14 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use glam::Vec3;
 
 use super::heading;
-use super::parse::{parse_fov, parse_resolution, parse_views};
+use super::parse::{choice, parse_background, parse_fov, parse_resolution, parse_views};
 use crate::streams::tell;
 use octobayes::Result;
 use octobayes::estimate::Model;
 use octobayes_data::{Part, Selection, Views, camera_file, passed_over};
 use octobayes_session::{CameraSource, Resolution, TrainingCameras};
+use octobayes_splats::RenderMode;
 
 /// A camera file.
 #[derive(Args)]
@@ -53,6 +55,35 @@ pub struct FrameOptions {
         help_heading = heading::INPUT,
     )]
     pub views: Option<Selection>,
+}
+
+/// What lay behind a model in its training, how it is drawn, and whether images may differ.
+#[derive(Args)]
+pub struct TrainingOptions {
+    /// Background colour of the training: white, black or r,g,b in [0, 1] [default: white, or what lies beside splats]
+    ///
+    /// It enters the derivatives wherever a ray passes the scene without becoming opaque. For splats the `cfg_args` of
+    /// the original code decides, or else white or black, if the images beside the cameras clearly fit one better.
+    #[arg(long, value_name = "COLOR", value_parser = parse_background, help_heading = heading::INPUT)]
+    pub background: Option<Vec3>,
+
+    /// Use the cameras even if the model does not show the images that lie beside them
+    ///
+    /// Before the run, a few hundred pixels of at most 8 of these images are compared with the model: below 15 dB a
+    /// warning names likely causes, such as cameras of another scene or another background; below 8 dB the cameras are
+    /// refused.
+    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
+    pub force: bool,
+
+    /// How splats smaller than a pixel are drawn: as they were trained [default: as their file says, else classic]
+    #[arg(
+        long,
+        value_name = "MODE",
+        value_parser = choice::<RenderMode>(),
+        help_heading = heading::INPUT,
+        hide_short_help = true,
+    )]
+    pub splat_mode: Option<RenderMode>,
 }
 
 /// The camera file that a path means for a part. Says so on stderr if a folder has cameras elsewhere, too.

@@ -4,13 +4,11 @@ mod samples;
 
 use std::path::PathBuf;
 
-use glam::Vec3;
-
 use super::files::CommandFiles;
 use super::given::Given;
 use super::options::{
-    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelArgument, RayCount, check_field_name, choice, count,
-    heading, parse_background, parse_bytes, parse_positive, parse_share,
+    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelArgument, RayCount, TrainingOptions,
+    check_field_name, choice, count, heading, parse_bytes, parse_positive, parse_share,
 };
 use super::progress::Bars;
 use super::report;
@@ -26,7 +24,6 @@ use octobayes_data::Part;
 use octobayes_data::SamplesReader;
 use octobayes_evaluation::TrainingImages;
 use octobayes_session::{Needs, OpenedModel, Session, given_up};
-use octobayes_splats::RenderMode;
 
 /// Compute the uncertainty of a trained field from its training cameras
 ///
@@ -54,30 +51,8 @@ pub struct Args {
     #[command(flatten)]
     frames: FrameOptions,
 
-    /// Background colour of the training: white, black or r,g,b in [0, 1] [default: white, or what lies beside splats]
-    ///
-    /// It enters the derivatives wherever a ray passes the scene without becoming opaque. For splats the `cfg_args` of
-    /// the original code decides, or else white or black, if the images beside the cameras clearly fit one better.
-    #[arg(long, value_name = "COLOR", value_parser = parse_background, help_heading = heading::INPUT)]
-    background: Option<Vec3>,
-
-    /// Use the cameras even if the model does not show the images that lie beside them
-    ///
-    /// Before the run, a few hundred pixels of at most 8 of these images are compared with the model: below 15 dB a
-    /// warning names likely causes, such as cameras of another scene or another background; below 8 dB the cameras are
-    /// refused.
-    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
-    force: bool,
-
-    /// How splats smaller than a pixel are drawn: as they were trained [default: as their file says, else classic]
-    #[arg(
-        long,
-        value_name = "MODE",
-        value_parser = choice::<RenderMode>(),
-        help_heading = heading::INPUT,
-        hide_short_help = true,
-    )]
-    splat_mode: Option<RenderMode>,
+    #[command(flatten)]
+    training: TrainingOptions,
 
     #[command(flatten)]
     domain: DomainOptions,
@@ -276,7 +251,8 @@ impl Args {
         }
         self.cameras.find(Part::Training);
         self.command_files().check()?;
-        let model = OpenedModel::for_cameras(&self.model.model, self.cameras.cameras.is_some(), self.splat_mode)?;
+        let model =
+            OpenedModel::for_cameras(&self.model.model, self.cameras.cameras.is_some(), self.training.splat_mode)?;
         if let Some(expected) = model.model.lacks(Feature::March) {
             // A model that is not marched has its own derivatives, which `auto` chooses.
             let marched = &OF_MARCH[usize::from(self.gradient == GradientMethod::Auto)..];
@@ -296,7 +272,7 @@ impl Args {
             .checksum(Some(model.checksum))
             .domain(self.domain.chosen()?)
             .rays(self.ray_settings())
-            .background(self.background)
+            .background(self.training.background)
             .model_file(Some(PathBuf::from(&model.name)))
             .grid(self.grid_settings())
             .choices(self.grid.choices())
@@ -306,7 +282,7 @@ impl Args {
             .images(images)
             .dump(self.dump_samples.clone())
             .audit(self.audit)
-            .force(self.force)
+            .force(self.training.force)
             .has_chosen_coordinates(model.coordinates.is_some() && self.cameras.cameras.is_some())
             .has_given_fov(self.cameras.fov.is_some());
         let prepared = session.prepare(&*model.model, bars, &mut tell)?;

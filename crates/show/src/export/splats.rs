@@ -8,11 +8,12 @@ use super::leaves::code;
 use octobayes::Result;
 use octobayes::posterior::Scale;
 use octobayes::uncertainty::{BakedField, UncertaintyField, is_certain};
-use octobayes_splats::{IN_FRONT, MIN_SHARE, SeenSplats, Splats};
+use octobayes_clean::{Evidence, SHOWN, SLACK};
+use octobayes_splats::Splats;
 
 /// Writes splats with the columns `uncertainty` and `log10_uncertainty` of their centres, `seen` if the field has ray
-/// coverage and, if views were looked at, `weight`, `views` and `front_share`. With a threshold, those above it and those never seen
-/// are left out. Returns the number of splats in the file.
+/// coverage and, if views were looked at, `weight`, `views` and `front_share`; `seen` has their number of pixels, too.
+/// With a threshold, those above it and those never seen are left out. Returns the number of splats in the file.
 ///
 /// # Errors
 /// If no splat is left, or the file cannot be written.
@@ -20,7 +21,7 @@ pub fn write_splats(
     path: &Path,
     splats: &Splats,
     field: &UncertaintyField,
-    seen: Option<&SeenSplats>,
+    seen: Option<&(Evidence, u64)>,
     threshold: Option<f64>,
 ) -> Result<usize> {
     let kept = match threshold {
@@ -55,14 +56,15 @@ pub fn write_splats(
              2: moving it changes training pixels"
         ));
     }
-    if let Some(SeenSplats { weights, views, front, pixels: [looked_at, all], .. }) = seen {
-        columns.push(("weight", of_kept(&|i| weights[i] as f32)));
-        columns.push(("views", of_kept(&|i| views[i] as f32)));
-        columns.push(("front_share", of_kept(&|i| front[i] as f32)));
+    if let Some((seen, looked_at)) = seen {
+        columns.push(("weight", of_kept(&|i| seen.weight[i] as f32)));
+        columns.push(("views", of_kept(&|i| seen.views[i] as f32)));
+        columns.push(("front_share", of_kept(&|i| seen.front_share(i) as f32)));
         comments.push(format!(
-            "octobayes {version} weight = sum of the splat's shares of {looked_at} of {all} training pixels; views \
-             = training views with a share above {MIN_SHARE}; front_share = part of the weight that is nearer to the \
-             camera than where half of the pixel's light is reached, by more than {IN_FRONT} of that depth"
+            "octobayes {version} weight = sum of the splat's shares of {looked_at} training pixels; views = training \
+             views with a share above {SHOWN}; front_share = part of the weight that is nearer to the camera than where \
+             half of the pixel's light is reached, by more than {SLACK} of that depth, and in empty pixels once a view \
+             contradicts the splat"
         ));
     }
     if let Some(threshold) = threshold {

@@ -13,24 +13,30 @@ use std::path::Path;
 pub use self::checkpoint::refuse_checkpoint;
 use super::{RenderMode, Splats};
 use glam::Vec3;
+use octobayes::field::harmonics::C0;
 use octobayes::{Error, Result};
 
-/// The constant spherical harmonic.
-const CONSTANT: f64 = 0.282_094_791_773_878_14;
-
 /// The coefficient of the constant harmonic that gives a colour in 0..1.
-fn constant_of(color: f64) -> f32 {
-    ((color - 0.5) / CONSTANT) as f32
+pub(super) fn constant_of(color: f64) -> f32 {
+    ((color - 0.5) / C0) as f32
 }
 
 /// Red, green and blue of the constant harmonic, 0 to 1 unless it is beyond what pictures have.
 fn color_of(sh: &[f32]) -> Vec3 {
-    Vec3::new(sh[0], sh[1], sh[2]).map(|v| (0.5 + CONSTANT * f64::from(v)) as f32)
+    Vec3::new(sh[0], sh[1], sh[2]).map(|v| (0.5 + C0 * f64::from(v)) as f32)
 }
 
 /// The nearest of 256 steps from 0 to 1.
 fn byte_of(value: f32) -> u8 {
     (value * 255.0).round().clamp(0.0, 255.0) as u8
+}
+
+/// Which of a rotation's entries is the largest, and the other three in their order, with the sign that makes it positive:
+/// it follows from them.
+fn without_largest(q: [f32; 4]) -> (usize, [f32; 3]) {
+    let largest = (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
+    let sign = if q[largest] < 0.0 { -1.0 } else { 1.0 };
+    (largest, [0, 1, 2].map(|i| sign * q[i + usize::from(i >= largest)]))
 }
 
 /// A format that splats are written in.
@@ -118,6 +124,12 @@ impl Splats {
         }
     }
 
+    /// Whether the format of a file has a place for new columns, as [`Splats::write_ply`] writes them.
+    #[must_use]
+    pub fn takes_columns(path: &Path) -> bool {
+        Format::of(path).is_ok_and(|format| format == Format::Ply)
+    }
+
     /// What of these splats the format of a file has no place for.
     ///
     /// # Errors
@@ -155,7 +167,7 @@ mod tests {
     use super::super::coefficients;
     use super::*;
 
-    /// Splats of which every number is another one, in the range of trained ones.
+    /// Random splats, with numbers in the range of trained ones.
     pub(super) fn random(n: usize, degree: u8) -> Splats {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut in_range = |low: f32, high: f32| rng.random_range(low..high);
@@ -176,6 +188,8 @@ mod tests {
         let splats = random(20, 1);
         let lost = |name: &str| splats.not_kept(Path::new(name)).unwrap();
         assert_eq!([lost("a.ply"), lost("a.compressed.ply"), lost("a.SPZ")], [const { Vec::<String>::new() }; 3]);
+        let takes = ["a.ply", "a.compressed.ply", "a.spz", "a.sog"].map(|name| Splats::takes_columns(Path::new(name)));
+        assert_eq!(takes, [true, false, false, false]);
         assert_eq!(lost("a.splat"), ["colours that depend on the direction", "mode `mip`"]);
         let path = folder.path().join("columns.ply");
         splats.write_ply(&path, &[("uncertainty", &[1.0; 20])], &[]).unwrap();

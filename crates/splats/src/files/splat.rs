@@ -1,6 +1,5 @@
 //! `.splat`: 32 bytes a splat, as antimatter15's viewer reads them. Colours have no direction and 8 bits.
 
-use std::io::Write;
 use std::path::Path;
 
 use glam::{Vec3, Vec4};
@@ -53,13 +52,11 @@ pub(super) fn write(splats: &Splats, path: &Path) -> Result<()> {
         bytes.extend(color_of(splats.sh(i)).to_array().map(byte_of));
         bytes.push(byte_of(splats.opacity(i)));
         let q = splats.rotation(i);
-        // 255 would be short of 1 by more than the half of a step, −1 has a byte.
+        // −1 has a byte, 1 has none; q and −q are one rotation.
         let sign = if q.to_array().iter().any(|v| v * 128.0 > 127.5) { -1.0 } else { 1.0 };
         bytes.extend([q.w, q.x, q.y, q.z].map(|v| (sign * v * 128.0 + 128.0).round().clamp(0.0, 255.0) as u8));
     }
-    let mut file = AtomicFile::create(path)?;
-    file.write_all(&bytes).map_err(Error::io(path, "cannot write"))?;
-    file.commit()
+    AtomicFile::write(path, &bytes)
 }
 
 #[cfg(test)]

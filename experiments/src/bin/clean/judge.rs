@@ -7,6 +7,7 @@ use octobayes_splats::{Hits, SplatRenderer, SplatView, Splats};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use common::recall::recall_at;
 use common::surface::Place;
 
 /// A model beside what is known of its scene.
@@ -60,20 +61,11 @@ impl Figures {
     }
 }
 
-/// The largest recall of what is in the air at a precision of at least `precision`, among judged splats.
-pub fn recall_at(precision: f64, score: &[f64], places: &[Place]) -> f64 {
-    let mut order: Vec<usize> = (0..score.len()).filter(|&i| places[i] != Place::Elsewhere).collect();
-    let all = order.iter().filter(|&&i| places[i] == Place::Air).count().max(1) as f64;
-    order.sort_by(|&a, &b| score[b].total_cmp(&score[a]));
-    let (mut marked, mut hits, mut most) = (0.0, 0.0, 0.0);
-    for equal in order.chunk_by(|&a, &b| score[a] == score[b]) {
-        marked += equal.len() as f64;
-        hits += equal.iter().filter(|&&i| places[i] == Place::Air).count() as f64;
-        if hits >= precision * marked {
-            most = hits / all;
-        }
-    }
-    most
+/// [`recall_at`] of what is in the air, among judged splats.
+pub fn air_at(precision: f64, score: &[f64], places: &[Place]) -> f64 {
+    let judged = score.iter().zip(places).filter(|(_, place)| **place != Place::Elsewhere);
+    let (score, is_air): (Vec<f64>, Vec<bool>) = judged.map(|(score, place)| (*score, *place == Place::Air)).unzip();
+    recall_at(precision, &score, &is_air)
 }
 
 /// Held-out images of splats beside the truth.
@@ -159,7 +151,7 @@ mod tests {
         assert_eq!((found.share, found.precision, found.recall), (0.6, Some(0.5), 0.5));
         assert_eq!(Figures::new(&[false; 5], &places).precision, None);
         // The one elsewhere has the largest score and does not count; equal scores are marked together.
-        assert_eq!(recall_at(0.9, &[3.0, 1.0, 1.0, 9.0, 0.0], &places), 0.5);
-        assert_eq!(recall_at(0.6, &[3.0, 1.0, 1.0, 9.0, 0.0], &places), 1.0);
+        assert_eq!(air_at(0.9, &[3.0, 1.0, 1.0, 9.0, 0.0], &places), 0.5);
+        assert_eq!(air_at(0.6, &[3.0, 1.0, 1.0, 9.0, 0.0], &places), 1.0);
     }
 }

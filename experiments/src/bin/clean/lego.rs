@@ -74,7 +74,7 @@ fn picture(path: &Path) -> Result<Vec<[u8; 4]>> {
 
 /// Whether a view shows that a place is in the air: it is nearer than all surfaces around its pixel, or there are none.
 fn shows_empty(view: &TrueView, x: DVec3) -> bool {
-    let Some((at, _)) = view.camera.project(x) else { return false };
+    let Some((at, _)) = view.camera.project_inside(x) else { return false };
     let [width, height] = view.camera.resolution.map(i64::from);
     let [column, row] = at.map(|v| v.floor() as i64);
     let is_within = |v: i64, side: i64| v >= AROUND && v < side - AROUND;

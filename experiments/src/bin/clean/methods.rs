@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use common::clock::Clock;
 use common::isolation::isolation;
 
-use crate::judge::{Figures, Images, Judged, recall_at};
+use crate::judge::{Figures, Images, Judged, air_at};
 
 /// Share of floaters among those that a score marks, at which recalls are compared.
 pub const PRECISION: f64 = 0.95;
@@ -111,7 +111,7 @@ pub fn measure(judged: &Judged) -> Result<Row> {
     Ok(Row {
         splats: splats.len(),
         in_air: judged.places.iter().filter(is_air).count() as f64 / counted as f64,
-        found: scores.iter().map(|score| recall_at(PRECISION, score, &judged.places)).collect(),
+        found: scores.iter().map(|score| air_at(PRECISION, score, &judged.places)).collect(),
         removals: removed.iter().map(removal).collect::<Result<_>>()?,
         floating: Strength::ALL.map(|s| Figures::new(&floating(&cleaned, s), &judged.places)).to_vec(),
         seconds,

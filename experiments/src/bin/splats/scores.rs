@@ -9,7 +9,8 @@ use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::rays::Pixels;
 use octobayes::render::{DepthSample, DepthVariance};
 use octobayes::uncertainty::DepthPosterior;
-use octobayes_splats::{SeenSplats, SplatRenderer, Splats};
+use octobayes_clean::Evidence;
+use octobayes_splats::Splats;
 use rayon::prelude::*;
 
 use common::isolation::isolation;
@@ -49,7 +50,7 @@ pub fn all(splats: &Splats, cameras: &[Camera], bounds: Aabb, noise: f64) -> Res
     });
     let field = run.run()?.field;
     let blocks = sums.blocks(&scale, scale.pixels);
-    let seen = SeenSplats::measure(&SplatRenderer::new(splats, glam::Vec3::ONE), cameras, 0.5, scale.pixels, &Silent)?;
+    let (seen, _) = Evidence::measure(splats, cameras, 0.5, scale.pixels, &Silent)?;
     let posterior = field.depth_posterior()?;
     let each = |value: &(dyn Fn(usize) -> f64 + Sync)| (0..splats.len()).into_par_iter().map(value).collect::<Vec<_>>();
     let normal = each(&|i| along(&posterior, splats, i, normal(splats, i)).sqrt());
@@ -62,9 +63,9 @@ pub fn all(splats: &Splats, cameras: &[Camera], bounds: Aabb, noise: f64) -> Res
         each(&|i| trace(&blocks.covariance[i]).sqrt()),
         each(&|i| -blocks.precision[i].determinant().ln()),
         each(&|i| -blocks.fisher[i]),
-        each(&|i| -seen.weights[i]),
+        each(&|i| -seen.weight[i]),
         each(&|i| -f64::from(seen.views[i])),
-        seen.front.clone(),
+        each(&|i| seen.front_share(i)),
         each(&|i| 1.0 - f64::from(splats.opacity(i))),
         each(&|i| f64::from(splats.log_scales()[i].element_sum())),
         largest.clone(),

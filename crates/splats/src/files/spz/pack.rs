@@ -4,6 +4,8 @@ use std::f32::consts::FRAC_1_SQRT_2;
 
 use glam::Vec4;
 
+use super::super::without_largest;
+
 /// A whole number of 24 bits with its sign.
 pub(super) const fn fixed(bytes: [u8; 3]) -> i32 {
     // The sign bit comes to the top, and is copied downwards.
@@ -67,13 +69,12 @@ pub(super) fn to_first_three(q: Vec4) -> [u8; 3] {
 
 /// The four bytes of a rotation (x, y, z, w) from version 3 on.
 pub(super) fn to_smallest_three(q: Vec4) -> [u8; 4] {
-    let largest = (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
-    let word = (0..4).filter(|i| *i != largest).fold(largest as u32, |word, i| {
-        let is_negative = (q[i] < 0.0) != (q[largest] < 0.0);
-        let size = (q[i].abs() / FRAC_1_SQRT_2 * 511.0).round().min(511.0) as u32;
-        word << 10 | u32::from(is_negative) << 9 | size
-    });
-    word.to_le_bytes()
+    let (largest, others) = without_largest(q.to_array());
+    let entry = |v: f32| {
+        let size = (v.abs() / FRAC_1_SQRT_2 * 511.0).round().min(511.0) as u32;
+        u32::from(v < 0.0) << 9 | size
+    };
+    others.into_iter().fold(largest as u32, |word, v| word << 10 | entry(v)).to_le_bytes()
 }
 
 #[cfg(test)]
