@@ -195,8 +195,8 @@ pub fn clean_splats<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let (splats, rows) = (splats.get().0.clone(), cameras(&rows)?);
     let cleaned = work(py, None, progress, |engine| {
-        let clean = Clean::new(splats.splats(), &rows).pixel_offset(pixel_offset).pixels(pixels);
-        clean.monitor(engine.monitor()).run()
+        let clean = Clean::new(&rows).pixel_offset(pixel_offset).pixels(pixels);
+        clean.monitor(engine.monitor()).splats(splats.splats())
     })?;
     let of = |value: fn(&Removal) -> u8| -> Vec<u8> {
         cleaned.removals.iter().map(|removal| removal.as_ref().map_or(0, |removal| 1 + value(removal))).collect()

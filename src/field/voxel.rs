@@ -4,6 +4,7 @@
 //! density is zero.
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::{Differentiable, Radiance, RadianceField, RadianceJet, TrainedField};
 use crate::geometry::Aabb;
@@ -75,25 +76,55 @@ impl VoxelGrid {
     /// If `shape` has fewer than 2 points along an axis.
     #[must_use]
     pub fn bake(field: &dyn RadianceField, shape: [usize; 3], view: Vec3) -> Self {
+        Self::baked(field, shape, |_| view)
+    }
+
+    /// [`VoxelGrid::bake`] with each point seen from the nearest of `eyes`, of which there must be one.
+    ///
+    /// # Panics
+    /// If there is none, or as [`VoxelGrid::bake`].
+    #[must_use]
+    pub fn bake_from(field: &dyn RadianceField, shape: [usize; 3], eyes: &[Vec3]) -> Self {
+        let nearest = |x: Vec3| {
+            let by_distance = |a: &&Vec3, b: &&Vec3| a.distance_squared(x).total_cmp(&b.distance_squared(x));
+            eyes.iter().copied().min_by(|a, b| by_distance(&a, &b)).expect("an eye")
+        };
+        Self::baked(field, shape, |x| (x - nearest(x)).try_normalize().unwrap_or(Vec3::Z))
+    }
+
+    fn baked(field: &dyn RadianceField, shape: [usize; 3], view: impl Fn(Vec3) -> Vec3 + Sync) -> Self {
         assert!(shape.iter().all(|&n| n >= 2), "a grid needs at least 2 points per axis, got {shape:?}");
-        let bounds = field.bounds();
-        let mut grid = Self { bounds, shape, values: vec![[0.0; 4]; shape.iter().product()] };
-        let mut radiance = vec![Radiance::default(); shape[2]];
-        for (row, values) in grid.values.chunks_exact_mut(shape[2]).enumerate() {
-            let index = DVec3::new((row / shape[1]) as f64, (row % shape[1]) as f64, 0.0);
-            let last = DVec3::from(shape.map(|n| (n - 1) as f64));
-            let positions: Vec<Vec3> = (0..shape[2])
-                .map(|k| {
-                    let at = index.with_z(k as f64);
-                    bounds.clamp((bounds.min() + at / last * bounds.size()).as_vec3())
-                })
-                .collect();
-            field.evaluate(&positions, &vec![view; shape[2]], &mut radiance);
-            for (value, r) in values.iter_mut().zip(&radiance) {
-                *value = [r.color.x, r.color.y, r.color.z, r.density];
+        let mut grid = Self { bounds: field.bounds(), shape, values: vec![[0.0; 4]; shape.iter().product()] };
+        let point = |i| grid.point(i);
+        let of_row = |row: usize| {
+            let positions: Vec<Vec3> = (row * shape[2]..(row + 1) * shape[2]).map(point).collect();
+            let views: Vec<Vec3> = positions.iter().map(|&x| view(x)).collect();
+            let mut radiance = vec![Radiance::default(); shape[2]];
+            field.evaluate(&positions, &views, &mut radiance);
+            radiance.into_iter().map(|r| [r.color.x, r.color.y, r.color.z, r.density])
+        };
+        grid.values = (0..shape[0] * shape[1]).into_par_iter().flat_map_iter(of_row).collect();
+        grid
+    }
+
+    /// Grid point `i` of [`VoxelGrid::values`], scene units.
+    #[must_use]
+    pub fn point(&self, i: usize) -> Vec3 {
+        let [_, ny, nz] = self.shape;
+        let index = DVec3::new((i / nz / ny) as f64, (i / nz % ny) as f64, (i % nz) as f64);
+        let last = DVec3::from(self.shape.map(|n| (n - 1) as f64));
+        self.bounds.clamp((self.bounds.min() + index / last * self.bounds.size()).as_vec3())
+    }
+
+    /// The grid without the density of some points.
+    #[must_use]
+    pub fn without(mut self, is_removed: impl Fn(Vec3) -> bool) -> Self {
+        for i in 0..self.values.len() {
+            if self.values[i][3] > 0.0 && is_removed(self.point(i)) {
+                self.values[i][3] = 0.0;
             }
         }
-        grid
+        self
     }
 
     /// The eight values around a point in the order of cell corners (bit 0 is x), and the offset between

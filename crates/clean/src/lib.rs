@@ -1,5 +1,5 @@
-//! Cleaning of a trained scene of Gaussian splats: which splats do the photographs contradict,
-//! and which does none show?
+//! Cleaning of a trained scene: which splats, or cells of a volume, do the photographs contradict, and which does none
+//! show?
 //!
 //! A *floater* hangs in the air in front of what the training views show. No view by itself contradicts it: each was
 //! fitted with it. But the surface that one view shows behind it is in its place in others, so that the floater stands
@@ -23,7 +23,7 @@
 //! let splats = Splats::new(means, log_scales, rotations, logits, vec![0.0; 1203], 0, RenderMode::Classic)?;
 //! let eyes = [-0.5, 0.0, 0.5].map(|y| DVec3::new(0.0, y, 0.0));
 //! let cameras = eyes.map(|eye| Camera::look_at(eye, DVec3::X * 4.0, DVec3::Z, 0.4, [48, 48]));
-//! let cleaned = Clean::new(&splats, &cameras).run()?;
+//! let cleaned = Clean::new(&cameras).splats(&splats)?;
 //! let gone = cleaned.removed(Strength::Careful);
 //! assert_eq!(gone.iter().flatten().collect::<Vec<_>>(), [&Reason::Floating]);
 //! # Ok::<(), octobayes::Error>(())
@@ -32,11 +32,14 @@
 mod evidence;
 mod rule;
 mod run;
+mod splats;
 mod views;
+mod volume;
 
 pub use self::evidence::{Evidence, SHOWN, SLACK};
 pub use self::rule::{Reason, Strength};
 pub use self::run::{Clean, Cleaned, Removal};
+pub use self::volume::{Cells, CleanedVolume};
 // The study of the rule's constants tries others.
 #[doc(hidden)]
-pub use self::rule::{Rule, Stage};
+pub use self::rule::{OfCells, Rule, Stage};

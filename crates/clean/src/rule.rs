@@ -1,4 +1,4 @@
-//! When a splat goes, and why.
+//! When a part goes, and why.
 
 use crate::Evidence;
 
@@ -14,7 +14,7 @@ octobayes::choices! {
 }
 
 octobayes::choices! {
-    /// Why a splat goes. The number of a reason in a file is its place here, from 1.
+    /// Why a part goes. The number of a reason in a file is its place here, from 1.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
     pub enum Reason {
         Floating = "floating", "hangs in front of the surfaces that training views show";
@@ -25,7 +25,7 @@ octobayes::choices! {
 }
 
 impl Reason {
-    /// What people read behind the number of splats.
+    /// What people read behind the number of parts.
     #[must_use]
     pub const fn sentence(self) -> &'static str {
         match self {
@@ -37,7 +37,7 @@ impl Reason {
     }
 }
 
-/// Below this weight a splat lies between the pixels that were looked at.
+/// Below this weight a part lies between the pixels that were looked at.
 const LEAST_WEIGHT: f64 = 0.01;
 
 /// What is removed as floating, and looked for again without it.
@@ -45,10 +45,19 @@ const LEAST_WEIGHT: f64 = 0.01;
 pub struct Stage {
     /// The strength from which on it goes.
     pub strength: Strength,
-    /// A splat floats if its [`Rule::score`] exceeds this.
+    /// A part floats if its [`Rule::score`] exceeds this.
     pub threshold: f64,
-    /// Whether [`Evidence::free_share`] contradicts a splat, not [`Evidence::front_share`].
+    /// Whether [`Evidence::free_share`] contradicts a part, not [`Evidence::front_share`].
     pub by_free_share: bool,
+}
+
+/// Constants for the cells of a volume.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OfCells {
+    /// [`Rule::on`].
+    pub on: f64,
+    /// How far before a surface a cell may still be of it, in cells.
+    pub reach: f64,
 }
 
 /// The constants of the rule, which `cargo experiment clean` fits.
@@ -58,13 +67,15 @@ pub struct Rule {
     pub stages: [Stage; 4],
     /// Most rounds of removing and looking again in a stage.
     pub rounds: usize,
-    /// How much a view in which the centre is at a surface counts for a splat.
+    /// How much a view in which the centre is at a surface counts for a part.
     pub on: f64,
-    /// A splat is transparent if its opacity is below this, `[Strength]`.
+    /// What is otherwise for cells of a volume, whose surfaces are soft.
+    pub of_cells: OfCells,
+    /// A part is transparent if its opacity is below this, `[Strength]`.
     pub opacity: [f64; 3],
-    /// A splat that the views show less than this, as its largest share of a pixel, is shown by none.
+    /// A part that the views show less than this, as its largest share of a pixel, is shown by none.
     pub peak: f64,
-    /// Splats are outside if they are so many times as far away as all that the views show but for [`Rule::beyond`].
+    /// Parts are outside if they are so many times as far away as all that the views show but for [`Rule::beyond`].
     pub far: f64,
     /// The part of what the views show that counts as outside, too.
     pub beyond: f64,
@@ -81,6 +92,7 @@ impl Default for Rule {
             ],
             rounds: 2,
             on: 0.25,
+            of_cells: OfCells { on: 1.0, reach: 0.5 },
             opacity: [0.005, 0.005, 0.02],
             peak: 1.0 / 255.0,
             far: 5.0,
@@ -90,7 +102,7 @@ impl Default for Rule {
 }
 
 impl Rule {
-    /// How far the views contradict splat `i` in a stage: the part of its weight in front of surfaces, less a part of
+    /// How far the views contradict part `i` in a stage: the part of its weight in front of surfaces, less a part of
     /// the share of views in which its centre is at one. At most 1.
     #[must_use]
     pub fn score(&self, of: &Evidence, i: usize, stage: Stage) -> f64 {
@@ -104,7 +116,7 @@ impl Rule {
         share - self.on * at_surface
     }
 
-    /// Whether no view shows splat `i`.
+    /// Whether no view shows part `i`.
     #[must_use]
     pub fn is_unseen(&self, of: &Evidence, i: usize) -> bool {
         f64::from(of.peak[i]) < self.peak && of.on[i] == 0 && of.before[i] == 0 && of.masked[i] == 0

@@ -1,23 +1,17 @@
-//! Looks at the splats through all training views, removes what they contradict, and looks again.
+//! Looks at a model through all training views, removes what they contradict, and looks again.
 
 use glam::{DVec3, Vec3};
 use octobayes::geometry::{Camera, Mask};
 use octobayes::monitor::{Monitor, Silent, check};
 use octobayes::{Error, Result};
-use octobayes_splats::{Splats, stride_for};
-use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::evidence::Parts;
 use crate::rule::Stage;
-use crate::views::{ListedView, Views};
+use crate::views::ListedView;
 use crate::{Evidence, Reason, Rule, Strength};
 
-/// Most projections of a splat to a view, all together: each takes a third of a microsecond on two cores.
-/// [`LEAST_VIEWS`] come first.
-const MOST_PROJECTED: usize = 64_000_000;
-const LEAST_VIEWS: usize = 48;
-
-/// Why a splat goes, and at which strengths.
+/// Why a part goes, and at which strengths.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Removal {
     /// Why.
@@ -30,14 +24,14 @@ pub struct Removal {
     pub look: usize,
 }
 
-/// Splats and what goes of them.
+/// The parts of a model, splats or cells of a volume, and what goes of them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cleaned {
     /// `[n]`: what goes, at any strength.
     pub removals: Vec<Option<Removal>>,
     /// What the views showed before anything was removed.
     pub evidence: Evidence,
-    /// `[n]`: how far the views contradict a splat, at the last look at it; at most 1.
+    /// `[n]`: how far the views contradict a part, at the last look at it; at most 1.
     pub scores: Vec<f64>,
     /// Number of pixels that were looked at each time, and of all pixels.
     pub pixels: [u64; 2],
@@ -46,14 +40,14 @@ pub struct Cleaned {
 }
 
 impl Cleaned {
-    /// `[n]`: why a splat goes at a strength, if it does.
+    /// `[n]`: why a part goes at a strength, if it does.
     #[must_use]
     pub fn removed(&self, strength: Strength) -> Vec<Option<Reason>> {
         let goes = |removal: &Option<Removal>| removal.filter(|removal| removal.strength <= strength);
         self.removals.iter().map(|removal| goes(removal).map(|removal| removal.reason)).collect()
     }
 
-    /// How many splats go at a strength, by [`Reason`].
+    /// How many parts go at a strength, by [`Reason`].
     #[must_use]
     pub fn counts(&self, strength: Strength) -> [usize; 4] {
         let removed = self.removed(strength);
@@ -61,27 +55,26 @@ impl Cleaned {
     }
 }
 
-/// Splats to be cleaned, and the training views by which they are.
+/// A cleaning by training views.
 #[derive(Clone, Copy)]
 pub struct Clean<'a> {
-    splats: &'a Splats,
-    cameras: &'a [Camera],
-    masks: &'a [Option<Mask>],
-    pixel_offset: f64,
-    pixels: u64,
-    rule: Rule,
-    monitor: &'a dyn Monitor,
+    pub(crate) cameras: &'a [Camera],
+    pub(crate) masks: &'a [Option<Mask>],
+    pub(crate) pixel_offset: f64,
+    pub(crate) pixels: u64,
+    pub(crate) rule: Rule,
+    pub(crate) monitor: &'a dyn Monitor,
 }
 
 impl<'a> Clean<'a> {
     /// Pixels of all views together that are looked at by default.
     pub const PIXELS: u64 = 2_000_000;
 
-    /// Cleans `splats` by the cameras that they were trained on.
+    /// Cleans a model by the cameras that it was trained on.
     #[must_use]
-    pub fn new(splats: &'a Splats, cameras: &'a [Camera]) -> Self {
+    pub fn new(cameras: &'a [Camera]) -> Self {
         let (pixels, rule) = (Self::PIXELS, Rule::default());
-        Self { splats, cameras, masks: &[], pixel_offset: 0.5, pixels, rule, monitor: &Silent }
+        Self { cameras, masks: &[], pixel_offset: 0.5, pixels, rule, monitor: &Silent }
     }
 
     /// Which pixels of each camera count, `[cameras]`, if not all.
@@ -115,69 +108,57 @@ impl<'a> Clean<'a> {
         Self { monitor, ..self }
     }
 
-    /// Finds what goes at each strength.
-    ///
-    /// # Errors
-    /// If there is no camera, if masks are not those of the cameras, if a lens distorts, if nothing would be left at any
-    /// strength, or [`Error::Interrupted`].
-    pub fn run(&self) -> Result<Cleaned> {
+    /// Refuses to clean without cameras.
+    pub(crate) fn check_cameras(&self) -> Result<()> {
         if self.cameras.is_empty() {
-            return Err(Error::setting("cameras", "at least one: what they show is what splats are held against", "0"));
+            return Err(Error::setting("cameras", "at least one: what they show is what a model is held against", "0"));
         }
-        let n = self.splats.len();
-        let most = (MOST_PROJECTED / n).max(LEAST_VIEWS);
-        let every = self.cameras.len().div_ceil(most);
-        let all: u64 = self.cameras.iter().map(Camera::pixels).sum();
-        let stride = stride_for(all / every as u64, self.pixels);
-        let (cameras, masks, pixel_offset) = (self.cameras, self.masks, self.pixel_offset);
-        let views = Views { cameras, masks, pixel_offset, stride, every };
-        let mut listed = Vec::new();
-        views.list(self.splats, self.monitor, |view| listed.push(view))?;
-        let looked_at = listed.iter().map(ListedView::pixels).sum();
-        let evidence = Evidence::of(&listed, self.splats.means(), &vec![true; n]);
+        Ok(())
+    }
+
+    /// Finds which of the listed parts go at each strength.
+    pub(crate) fn decide(&self, listed: &Listing) -> Result<Cleaned> {
+        let n = listed.parts.centers.len();
+        let looked_at = listed.views.iter().map(ListedView::pixels).sum();
+        let all = self.cameras.iter().map(Camera::pixels).sum();
+        let evidence = Evidence::of(&listed.views, listed.parts, &vec![true; n]);
         let (removals, scores) = (vec![None; n], vec![0.0; n]);
         let mut cleaned = Cleaned { removals, evidence, scores, pixels: [looked_at, all], looks: 1 };
-        let by_look = ByLook { outside: self.outside(&cleaned.evidence), elsewhere: self.in_others(&views) };
+        let outside = self.outside(listed.parts.centers, &cleaned.evidence);
         let mut latest = cleaned.evidence.clone();
         for stage in self.rule.stages {
             self.score(&mut cleaned, &latest, stage);
-            self.remove_by_look(&mut cleaned, &by_look, stage.strength);
-            self.remove_floaters(&mut cleaned, &mut latest, &listed, stage)?;
+            self.remove_by_look(&mut cleaned, listed, &outside, stage.strength);
+            self.remove_floaters(&mut cleaned, &mut latest, listed, stage)?;
         }
         if cleaned.removed(Strength::Careful).iter().all(Option::is_some) {
-            let expected = "splats of a scene that the cameras show (are they of another scene, or in another frame?)";
-            return Err(Error::setting("splats", expected, format!("none of {n} in its place")));
+            let expected = "a scene that the cameras show (are they of another scene, or in another frame?)";
+            return Err(Error::setting("model", expected, format!("none of {n} parts in its place")));
         }
         Ok(cleaned)
     }
 
-    /// `[n]`: whether the image of a camera that was not looked through has the centre.
-    fn in_others(&self, views: &Views) -> Vec<bool> {
-        let others: Vec<&Camera> = views.others().collect();
-        let is_in_one = |x: &Vec3| others.iter().any(|camera| camera.project_inside(x.as_dvec3()).is_some());
-        self.splats.means().par_iter().map(is_in_one).collect()
-    }
-
     /// Removes what one look is enough for.
-    fn remove_by_look(&self, cleaned: &mut Cleaned, by_look: &ByLook, strength: Strength) {
+    fn remove_by_look(&self, cleaned: &mut Cleaned, listed: &Listing, outside: &[bool], strength: Strength) {
         let Cleaned { removals, scores, evidence, .. } = cleaned;
         for (i, (removal, &mut score)) in removals.iter_mut().zip(scores).enumerate() {
-            let is_faint = f64::from(self.splats.opacity(i)) < self.rule.opacity[strength as usize];
+            let opacity = listed.opacities.get(i).copied().unwrap_or(1.0);
+            let is_hidden = || !listed.may_be_shown[i] && self.rule.is_unseen(evidence, i);
             let reason = match () {
                 () if removal.is_some() => continue,
-                () if by_look.outside[i] => Reason::Outside,
-                () if !by_look.elsewhere[i] && self.rule.is_unseen(evidence, i) => Reason::Unseen,
-                () if is_faint => Reason::Transparent,
+                () if outside[i] => Reason::Outside,
+                () if is_hidden() => Reason::Unseen,
+                () if f64::from(opacity) < self.rule.opacity[strength as usize] => Reason::Transparent,
                 () => continue,
             };
             *removal = Some(Removal { reason, strength, score, look: 1 });
         }
     }
 
-    /// `[n]`: whether a splat is far beyond all that the views show.
-    fn outside(&self, of: &Evidence) -> Vec<bool> {
+    /// `[n]`: whether a part is far beyond all that the views show.
+    fn outside(&self, centers: &[Vec3], of: &Evidence) -> Vec<bool> {
         let middle = self.cameras.iter().map(|camera| camera.position).sum::<DVec3>() / self.cameras.len() as f64;
-        let away: Vec<f64> = self.splats.means().iter().map(|x| x.as_dvec3().distance(middle)).collect();
+        let away: Vec<f64> = centers.iter().map(|x| x.as_dvec3().distance(middle)).collect();
         let mut order: Vec<usize> = (0..away.len()).collect();
         order.sort_by(|&a, &b| away[b].total_cmp(&away[a]));
         let most = self.rule.beyond * of.weight.iter().sum::<f64>();
@@ -190,7 +171,7 @@ impl<'a> Clean<'a> {
         away.into_iter().map(|away| away > limit).collect()
     }
 
-    /// How far the views contradict the splats that are left.
+    /// How far the views contradict the parts that are left.
     fn score(&self, cleaned: &mut Cleaned, latest: &Evidence, stage: Stage) {
         let left = cleaned.scores.iter_mut().zip(&cleaned.removals).enumerate();
         for (i, (score, _)) in left.filter(|(_, (_, removal))| removal.is_none()) {
@@ -203,7 +184,7 @@ impl<'a> Clean<'a> {
         &self,
         cleaned: &mut Cleaned,
         latest: &mut Evidence,
-        listed: &[ListedView],
+        listed: &Listing,
         stage: Stage,
     ) -> Result<()> {
         let Stage { strength, threshold, .. } = stage;
@@ -220,7 +201,7 @@ impl<'a> Clean<'a> {
                 break;
             }
             let kept: Vec<bool> = cleaned.removals.iter().map(Option::is_none).collect();
-            *latest = Evidence::of(listed, self.splats.means(), &kept);
+            *latest = Evidence::of(&listed.views, listed.parts, &kept);
             cleaned.looks += 1;
             self.score(cleaned, latest, stage);
         }
@@ -228,12 +209,12 @@ impl<'a> Clean<'a> {
     }
 }
 
-/// What is known after the first look; both `[n]`.
-struct ByLook {
-    outside: Vec<bool>,
-    /// The image of a camera that was not looked through has the centre.
-    elsewhere: Vec<bool>,
+/// The parts of a model, and what pixels show of them.
+pub(crate) struct Listing<'a> {
+    pub views: Vec<ListedView>,
+    pub parts: Parts<'a>,
+    /// `[n]`, or empty if no part is transparent by itself.
+    pub opacities: Vec<f32>,
+    /// `[n]`: whether a part that the listed views do not show may be shown, or is not to go.
+    pub may_be_shown: Vec<bool>,
 }
-
-#[cfg(test)]
-mod tests;

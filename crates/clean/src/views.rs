@@ -1,11 +1,9 @@
-//! What pixels of training views show, listed once: the splats can then be looked at without some of them at once.
+//! What pixels of training views show, listed once: the model can then be looked at without some parts at once.
 
-use glam::Vec3;
 use octobayes::Result;
 use octobayes::geometry::{Camera, Mask, check_sizes};
 use octobayes::monitor::{Monitor, check};
-use octobayes::render::Outputs;
-use octobayes_splats::{Hits, SplatRenderer, SplatView, Splats, strided_pixels};
+use octobayes_splats::strided_pixels;
 use rayon::prelude::*;
 
 /// Which pixels of training views are looked at.
@@ -22,23 +20,23 @@ pub(crate) struct Views<'a> {
     pub every: usize,
 }
 
-/// A splat that a pixel shows.
+/// A part that a pixel shows: a splat, or what a ray meets in a cell.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Listed {
-    pub splat: u32,
+    pub part: u32,
     /// α.
     pub alpha: f32,
     /// Along the view axis, scene units.
     pub depth: f32,
 }
 
-/// The splats of some pixels of a view.
+/// The parts of some pixels of a view.
 pub(crate) struct ListedView {
     pub camera: Camera,
     /// The first row and column, and how far it is to the next ones.
     pub start: u32,
     pub stride: u32,
-    /// By row: of every column the splats front to back, or `None` where the mask leaves the pixel out.
+    /// By row: of every column the parts front to back, or `None` where the mask leaves the pixel out.
     pub rows: Vec<ListedRow>,
 }
 
@@ -46,9 +44,24 @@ pub(crate) struct ListedView {
 #[derive(Default)]
 pub(crate) struct ListedRow {
     hits: Vec<Listed>,
-    /// Where each pixel's splats end; the next one's begin there.
+    /// Where each pixel's parts end; the next one's begin there.
     ends: Vec<u32>,
     is_masked: Vec<bool>,
+}
+
+/// The parts of some points of a view, one point after the other.
+#[derive(Default)]
+pub(crate) struct ListedPoints {
+    hits: Vec<Listed>,
+    ends: Vec<u32>,
+}
+
+impl ListedPoints {
+    /// Adds the parts of the next point, front to back.
+    pub fn push(&mut self, hits: impl IntoIterator<Item = Listed>) {
+        self.hits.extend(hits);
+        self.ends.push(self.hits.len() as u32);
+    }
 }
 
 impl ListedView {
@@ -59,7 +72,17 @@ impl ListedView {
 }
 
 impl ListedRow {
-    /// The splats of every column, front to back; `None` where the mask leaves it out.
+    /// The parts that the row shows.
+    pub fn hits(&self) -> &[Listed] {
+        &self.hits
+    }
+
+    /// The same, to be numbered anew.
+    pub fn hits_mut(&mut self) -> &mut [Listed] {
+        &mut self.hits
+    }
+
+    /// The parts of every column, front to back; `None` where the mask leaves it out.
     pub fn pixels(&self) -> impl Iterator<Item = Option<&[Listed]>> {
         let starts = std::iter::once(0).chain(self.ends.iter().copied());
         let ranges = starts.zip(&self.ends).map(|(start, &end)| &self.hits[start as usize..end as usize]);
@@ -68,17 +91,23 @@ impl ListedRow {
 }
 
 impl Views<'_> {
-    /// Lists what each view shows, 12 bytes a splat and pixel, and passes it on.
-    pub fn list(&self, splats: &Splats, monitor: &dyn Monitor, mut take: impl FnMut(ListedView)) -> Result<()> {
-        SplatRenderer::check_cameras(self.cameras)?;
+    /// Lists what each view shows, 12 bytes a part and pixel, and passes it on. `prepare` makes of a camera what adds
+    /// the parts of image points (pixels from the top left corner) to a list.
+    pub fn list<R>(
+        &self,
+        monitor: &dyn Monitor,
+        prepare: impl Fn(&Camera) -> R,
+        mut take: impl FnMut(ListedView),
+    ) -> Result<()>
+    where
+        R: Fn(&[[f64; 2]], &mut ListedPoints) -> Result<()> + Sync,
+    {
         check_sizes(self.cameras, self.masks)?;
-        // What lies behind the splats takes no part in their weights.
-        let renderer = SplatRenderer::new(splats, Vec3::ZERO);
         monitor.begin("training views", self.cameras.len().div_ceil(self.every) as u64);
         for (i, camera) in self.cameras.iter().enumerate().step_by(self.every) {
             check(monitor)?;
             let mask = self.masks.get(i).and_then(Option::as_ref);
-            take(self.view(&renderer.prepare(camera, Outputs::Colors), mask));
+            take(self.view(camera, mask, &prepare(camera))?);
             monitor.advance(1);
         }
         monitor.end();
@@ -90,27 +119,29 @@ impl Views<'_> {
         self.cameras.iter().enumerate().filter(|(i, _)| i % self.every != 0).map(|(_, camera)| camera)
     }
 
-    fn view(&self, view: &SplatView, mask: Option<&Mask>) -> ListedView {
-        let [columns, rows] = strided_pixels(view.camera(), self.stride);
+    fn view<R>(&self, camera: &Camera, mask: Option<&Mask>, list: &R) -> Result<ListedView>
+    where
+        R: Fn(&[[f64; 2]], &mut ListedPoints) -> Result<()> + Sync,
+    {
+        let [columns, rows] = strided_pixels(camera, self.stride);
         let of_row = |&row: &u32| {
-            let (mut hits, mut listed) = (Hits::default(), ListedRow::default());
-            for &column in &columns {
-                let is_masked = mask.is_some_and(|mask| !mask.keeps(column, row));
-                if !is_masked {
-                    view.hits([column, row].map(|i| f64::from(i) + self.pixel_offset), &mut hits);
-                    listed.hits.extend(hits.list.iter().map(|hit| Listed {
-                        splat: view.splat(hit) as u32,
-                        alpha: hit.alpha as f32,
-                        depth: view.depth(hit) as f32,
-                    }));
-                }
-                listed.ends.push(listed.hits.len() as u32);
-                listed.is_masked.push(is_masked);
-            }
+            let is_masked: Vec<bool> =
+                columns.iter().map(|&column| mask.is_some_and(|mask| !mask.keeps(column, row))).collect();
+            let kept = columns.iter().zip(&is_masked).filter(|(_, is_masked)| !**is_masked);
+            let points: Vec<[f64; 2]> =
+                kept.map(|(&column, _)| [column, row].map(|i| f64::from(i) + self.pixel_offset)).collect();
+            let mut listed = ListedPoints::default();
+            list(&points, &mut listed)?;
+            let (mut ends, mut last) = (listed.ends.into_iter(), 0);
+            let mut end = |is_masked: &bool| {
+                last = if *is_masked { last } else { ends.next().expect("an end of every point") };
+                last
+            };
+            let ends = is_masked.iter().map(&mut end).collect();
             listed.hits.shrink_to_fit();
-            listed
+            Ok(ListedRow { hits: listed.hits, ends, is_masked })
         };
-        let rows = rows.par_iter().map(of_row).collect();
-        ListedView { camera: *view.camera(), start: columns[0], stride: self.stride, rows }
+        let rows = rows.par_iter().map(of_row).collect::<Result<_>>()?;
+        Ok(ListedView { camera: *camera, start: columns[0], stride: self.stride, rows })
     }
 }

@@ -1,5 +1,5 @@
 //! What people look at: files for other tools ([`export`]), pictures ([`picture`]), and pages for a browser
-//! ([`viewer`]).
+//! ([`viewer`], [`comparison`]).
 //!
 //! # Example
 //! ```
@@ -19,6 +19,7 @@
 // Both macros panic if the stream cannot be written.
 #![cfg_attr(not(test), warn(clippy::print_stderr, clippy::print_stdout))]
 
+pub mod comparison;
 pub mod export;
 pub mod picture;
 pub mod viewer;

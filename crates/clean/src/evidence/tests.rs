@@ -59,7 +59,7 @@ fn the_share_is_that_of_all_pixels_together() {
 #[test]
 fn what_lies_behind_a_list_that_ended_is_not_known() {
     // Two splats take all but 10⁻⁴ of the light; without them the list has nothing left.
-    let listed = |splat: u32| Listed { splat, alpha: 0.99, depth: 2.0 + splat as f32 };
+    let listed = |part: u32| Listed { part, alpha: 0.99, depth: 2.0 + part as f32 };
     let hits = [listed(0), listed(1)];
     let surface = |kept: [bool; 2]| {
         let mut shares = Vec::new();

@@ -1,77 +1,82 @@
-//! One view before and after, and what goes in colours of its reasons.
+//! Views before and after, and what goes in the colours of its reasons.
 
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use octobayes::Result;
+use octobayes::estimate::{Model, RaySettings};
 use octobayes::geometry::Camera;
-use octobayes::monitor::Monitor;
+use octobayes::monitor::{Monitor, Silent, check};
 use octobayes::render::Renderer;
-use octobayes_clean::Reason;
+use octobayes_clean::Strength;
 use octobayes_session::scaled;
 use octobayes_show::picture::{Panel, color_panel, write_sheet};
-use octobayes_splats::{SplatRenderer, Splats};
 
-/// Cameras among which the one is looked for that shows most of the difference.
+use super::found::{Found, legend};
+
+/// Cameras among which those are looked for that show most of the difference.
 const CAMERAS: usize = 8;
 /// Longest side of the images in which it is looked for, and of those that are written, pixels.
 const SKETCH: f64 = 128.0;
 const SIDE: f64 = 480.0;
-/// The colour of each [`Reason`], in their order.
-const TINTS: [(&str, Vec3); 4] = [
-    ("red", Vec3::new(0.9, 0.1, 0.1)),
-    ("blue", Vec3::new(0.1, 0.3, 0.9)),
-    ("violet", Vec3::new(0.6, 0.1, 0.8)),
-    ("orange", Vec3::new(0.95, 0.6, 0.0)),
-];
 
-/// The splats in grey, but for those that go.
-fn tinted(splats: &Splats, reasons: &[Option<Reason>]) -> Splats {
-    let grey = |i| 0.35 + 0.6 * splats.constant_color(i).clamp(Vec3::ZERO, Vec3::ONE).element_sum() / 3.0;
-    let color = |(i, reason): (usize, &Option<Reason>)| {
-        reason.map_or_else(|| Vec3::splat(grey(i)), |reason| TINTS[reason as usize].1)
-    };
-    splats.in_colors(&reasons.iter().enumerate().map(color).collect::<Vec<_>>())
-}
-
-/// Splats before and after, and the cameras that may show them.
-pub struct BeforeAfter<'a> {
-    pub splats: &'a Splats,
-    pub left: &'a Splats,
-    /// `[n]`: why each goes.
-    pub reasons: &'a [Option<Reason>],
+/// A model before and after, and the cameras that may show it.
+pub struct Pictures<'a> {
+    pub found: &'a dyn Found,
     pub cameras: &'a [Camera],
     pub background: Vec3,
+    pub monitor: &'a dyn Monitor,
 }
 
-impl BeforeAfter<'_> {
-    /// Writes three images of the camera that shows most of what goes.
-    pub fn write(&self, path: &Path, monitor: &dyn Monitor) -> Result<()> {
-        let image = |splats: &Splats, camera: &Camera, side: f64| {
-            let longest = f64::from(camera.resolution.into_iter().max().unwrap_or(1));
-            let camera = scaled(camera, (side / longest).min(1.0));
-            let view = SplatRenderer::new(splats, self.background).strided_image(&camera, 1, 0.5, &[], &[], monitor)?;
-            let colors = view.pixels.iter().map(|pixel| pixel.color).collect::<Vec<DVec3>>();
-            Ok((view.resolution, colors))
-        };
-        let mut best = (0.0, &self.cameras[0]);
-        let used = self.cameras.len().min(CAMERAS);
-        for camera in (0..used).map(|i| &self.cameras[i * self.cameras.len() / used]) {
-            let [before, after] = [self.splats, self.left].map(|splats| image(splats, camera, SKETCH));
-            let pairs = before?.1.into_iter().zip(after?.1);
-            let differ = pairs.map(|(a, b)| (a - b).abs().element_sum()).sum::<f64>();
-            if differ > best.0 {
-                best = (differ, camera);
-            }
-        }
-        let marked = tinted(self.splats, self.reasons);
-        let named = Reason::ALL.iter().zip(TINTS).filter(|(reason, _)| self.reasons.contains(&Some(**reason)));
-        let named: Vec<String> = named.map(|(reason, (color, _))| format!("{color} {reason}")).collect();
-        let titles = ["before".to_string(), format!("what goes: {}", named.join(", ")), "after".to_string()];
-        let panels = [self.splats, &marked, self.left].into_iter().zip(&titles).map(|(splats, title)| {
-            let (resolution, colors) = image(splats, best.1, SIDE)?;
-            Ok(color_panel(title, resolution, colors))
-        });
-        write_sheet(path, &[panels.collect::<Result<Vec<Panel>>>()?])
+impl Pictures<'_> {
+    /// A model, ready for images.
+    pub fn renderer<'m>(&self, model: &'m dyn Model) -> Result<Box<dyn Renderer + 'm>> {
+        model.for_images(&RaySettings::for_images().background(self.background), None, &Silent)
     }
+
+    /// A model as a camera shows it.
+    pub fn panel(&self, title: &str, renderer: &dyn Renderer, camera: &Camera) -> Result<Panel> {
+        let (resolution, colors) = self.image(renderer, camera, SIDE)?;
+        Ok(color_panel(title, resolution, colors))
+    }
+
+    fn image(&self, renderer: &dyn Renderer, camera: &Camera, side: f64) -> Result<([u32; 2], Vec<DVec3>)> {
+        check(self.monitor)?;
+        let longest = f64::from(camera.resolution.into_iter().max().unwrap_or(1));
+        let camera = scaled(camera, (side / longest).min(1.0));
+        let view = renderer.image(&camera, 0.5, &[], &[], &Silent)?;
+        Ok((view.resolution, view.pixels.iter().map(|pixel| pixel.color).collect()))
+    }
+
+    /// Up to `count` cameras, of some evenly chosen ones those that show most of what goes at a strength, in their
+    /// order; each with its number.
+    pub fn cameras(&self, strength: Strength, count: usize) -> Result<Vec<(usize, &Camera)>> {
+        let left = self.found.left(strength)?;
+        let [before, after] = [self.renderer(self.found.before())?, self.renderer(&*left)?];
+        let used = self.cameras.len().min(CAMERAS);
+        let mut shown = Vec::new();
+        self.monitor.begin("views before and after", used as u64);
+        for i in (0..used).map(|i| i * self.cameras.len() / used) {
+            let [before, after] = [&before, &after].map(|renderer| self.image(&**renderer, &self.cameras[i], SKETCH));
+            let pairs = before?.1.into_iter().zip(after?.1);
+            shown.push((i, pairs.map(|(a, b)| (a - b).abs().element_sum()).sum::<f64>()));
+            self.monitor.advance(1);
+        }
+        self.monitor.end();
+        shown.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let mut best: Vec<usize> = shown.into_iter().take(count).map(|(i, _)| i).collect();
+        best.sort_unstable();
+        Ok(best.into_iter().map(|i| (i, &self.cameras[i])).collect())
+    }
+}
+
+/// Writes three images of the camera that shows most of what goes.
+pub fn write(path: &Path, pictures: &Pictures, strength: Strength) -> Result<()> {
+    let Pictures { found, .. } = pictures;
+    let (_, camera) = pictures.cameras(strength, 1)?[0];
+    let (marked, left) = (found.marked(strength), found.left(strength)?);
+    let title = format!("what goes: {}", legend(*found, strength).join(", "));
+    let panels = [("before", found.before()), (&title, &*marked), ("after", &*left)];
+    let panels = panels.into_iter().map(|(title, model)| pictures.panel(title, &*pictures.renderer(model)?, camera));
+    write_sheet(path, &[panels.collect::<Result<Vec<Panel>>>()?])
 }

@@ -1,7 +1,10 @@
 //! `clean`: a file of splats in, the same format out, and what was removed beside it.
 
 use glam::{Quat, Vec3};
+use octobayes::field::{RadianceField, VoxelGrid};
+use octobayes::geometry::Aabb;
 use octobayes_data::write_transforms;
+use octobayes_models::{read_voxel_grid, write_voxel_grid};
 use octobayes_splats::{RenderMode, Splats};
 use serde_json::Value;
 
@@ -128,8 +131,10 @@ fn what_cannot_be_cleaned_is_refused_with_the_way_out() {
     desk.refused(&format!("{RUN} -o scene.ply"), &["a file of its own"]);
     desk.refused(&format!("{RUN} -o a.ply --removed a.ply"), &["a file of its own"]);
     desk.refused(&format!("{RUN} -o a.ply --removed a.spz"), &["--removed: expected a name that ends in `.ply`"]);
-    let of_volume = "clean scene:ball --cameras transforms.json -o a.ply";
-    desk.refused(of_volume, &["MODEL: expected Gaussian splats", "render --threshold"]);
+    let of_volume = "clean scene:ball --cameras transforms.json";
+    desk.refused(&format!("{of_volume} -o a.ply"), &["--output: expected `.npz`", "found a.ply of scene:ball"]);
+    desk.refused(&format!("{of_volume} -o a.safetensors"), &["`.safetensors` of a hash grid of `train`"]);
+    desk.refused(&format!("{of_volume} -o a.npz --removed b.ply"), &["--removed: expected Gaussian splats"]);
     // Cameras that look away see nothing.
     let away = around(3.0, [0.0].into_iter()).into_iter().map(|(name, mut camera)| {
         camera.position *= 100.0;
@@ -143,4 +148,80 @@ fn what_cannot_be_cleaned_is_refused_with_the_way_out() {
         &["cameras: expected rays that meet"],
     );
     assert!(!desk.join("a.ply").exists());
+}
+
+/// A ball of voxels, and thin fog beside it, which all cameras look through at the ball or past it.
+fn voxels() -> VoxelGrid {
+    let (bounds, n) = (Aabb::centered_cube(1.5), 48);
+    let at = |i: usize| [i / (n * n), i / n % n, i % n].map(|k| 3.0 * k as f32 / (n - 1) as f32 - 1.5);
+    let value = |i: usize| {
+        let x = Vec3::from_array(at(i));
+        let density = if x.length() < 0.7 { 80.0 } else { 1.5 * f32::from(is_fog(x)) };
+        [0.5, 0.4, 0.3, density]
+    };
+    VoxelGrid::new(bounds, [n; 3], (0..n * n * n).map(value).collect()).unwrap()
+}
+
+const FOG: Vec3 = Vec3::new(0.95, 0.0, 0.0);
+
+fn is_fog(x: Vec3) -> bool {
+    x.distance(FOG) < 0.16
+}
+
+#[test]
+fn a_voxel_grid_keeps_all_but_its_fog() {
+    let desk = desk();
+    write_voxel_grid(&voxels(), &desk.join("model.npz")).unwrap();
+    let run = "clean model.npz --cameras transforms.json --background black";
+    assert_eq!(desk.good(&format!("{run} -o clean.npz --report clean.csv --page clean.html")), "clean.npz\n");
+    let (before, after) = (voxels(), read_voxel_grid(&desk.join("clean.npz")).unwrap());
+    assert_eq!((before.shape(), before.bounds()), (after.shape(), after.bounds()));
+    let (mut gone, grid) = (0, &after);
+    for (i, (before, after)) in before.values().iter().zip(after.values()).enumerate() {
+        // A cell that goes may reach half a grid's step beyond the fog: nothing is there.
+        let x = grid.point(i);
+        let goes = is_fog(x) && after[3] == 0.0;
+        gone += usize::from(goes);
+        assert!(goes || before == after, "{x}: {before:?}, {after:?}");
+    }
+    let fog = (0..before.values().len()).filter(|&i| is_fog(before.point(i))).count();
+    // Half of the points are at its rim, where cells are hardly dense.
+    assert!(3 * gone >= 2 * fog, "{gone} of {fog} points of the fog");
+    // A row for every cell with matter, in scene units.
+    let report = std::fs::read_to_string(desk.join("clean.csv")).unwrap();
+    let rows: Vec<Vec<&str>> = report.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows[0][..5], ["cell", "x", "y", "z", "reason"]);
+    let floating = rows.iter().skip(1).filter(|row| row[4] == "floating" && row[5] != "strong");
+    let number = |row: &[&str], k: usize| row[k].parse::<f64>().unwrap();
+    let (mut all, mut of_fog) = (0.0, 0.0);
+    for row in floating {
+        let x = Vec3::from_array([1, 2, 3].map(|k| number(row, k) as f32));
+        all += number(row, 8);
+        // Half the diagonal of a cell, and that of a voxel, through which the fog's edge falls.
+        let reach = 0.16 + 3_f32.sqrt() * (0.5 * 3.0 / 128.0 + 3.0 / 47.0);
+        of_fog += if x.distance(FOG) < reach { number(row, 8) } else { 0.0 };
+    }
+    // The rest is at the rim of the ball, where single pixels are looked at.
+    assert!(of_fog > 0.95 * all, "{of_fog} of {all}");
+    // What is left is a model like any other, and has nothing more to clean.
+    let answer: Value = serde_json::from_str(
+        &desk.good("clean clean.npz --cameras transforms.json --background black -o again.npz --json"),
+    )
+    .unwrap();
+    assert!(answer["cells"].as_u64().unwrap() > 1000 && answer["removed"].is_null(), "{answer}");
+    // Four views, each before, and marked and after at three strengths.
+    let page = std::fs::read_to_string(desk.join("clean.html")).unwrap();
+    assert_eq!(page.matches("data:image/jpeg;base64,").count(), 4 * 7);
+    assert!(page.contains("<title>model.npz: before and after</title>"));
+}
+
+#[test]
+fn other_volumes_become_voxel_grids() {
+    let desk = desk();
+    let run = "clean scene:ball --cameras transforms.json --background black --points 24";
+    assert_eq!(desk.good(&format!("{run} -o ball.npz")), "ball.npz\n");
+    let ball = read_voxel_grid(&desk.join("ball.npz")).unwrap();
+    assert_eq!(ball.shape(), [24; 3]);
+    let dense = ball.values().iter().filter(|value| value[3] > 1.0).count();
+    assert!(dense > 200, "{dense} points of the ball");
 }

@@ -15,7 +15,7 @@ pub const N_NEURONS: usize = 32;
 /// Outputs of the density network; the first is log σ.
 pub const N_GEOMETRY: usize = 16;
 /// Largest number of cells per axis of the occupancy grid.
-const MAX_OCCUPANCY: usize = 128;
+pub(super) const MAX_OCCUPANCY: usize = 128;
 
 /// Largest resolution of a level; positions are only f32.
 const MAX_RESOLUTION: f64 = 65_536.0;

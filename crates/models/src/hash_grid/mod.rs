@@ -194,7 +194,6 @@ impl HashGrid {
     }
 
     /// The space with its bounds.
-    /// A field of these parts, as trained.
     #[doc(hidden)]
     #[must_use]
     pub fn space(&self) -> &Space {
@@ -202,7 +201,6 @@ impl HashGrid {
     }
 
     /// Features and weights.
-    /// A field of these parts, as trained.
     #[doc(hidden)]
     #[must_use]
     pub fn parameters(&self) -> &Parameters {
@@ -210,7 +208,6 @@ impl HashGrid {
     }
 
     /// The window at a position in the unit cube.
-    /// A field of these parts, as trained.
     #[doc(hidden)]
     #[must_use]
     pub fn window_at(&self, u: [f32; 3]) -> f32 {
@@ -218,11 +215,35 @@ impl HashGrid {
     }
 
     /// Occupied cells of the occupancy grid, `[n³]`, x fastest.
-    /// A field of these parts, as trained.
     #[doc(hidden)]
     #[must_use]
     pub fn occupied(&self) -> &[bool] {
         &self.occupied
+    }
+
+    /// Cells per axis of the finest occupancy grid that divides the cells of this one.
+    #[must_use]
+    pub fn finest_occupancy(&self) -> usize {
+        self.config.occupancy * (config::MAX_OCCUPANCY / self.config.occupancy)
+    }
+
+    /// What is left without some cells of the [finest occupancy grid](Self::finest_occupancy), `[n³]`, x fastest. The
+    /// window falls to 0 over the cells beside those that stay: half as far as before, if the grid has twice the cells.
+    ///
+    /// # Panics
+    /// If `removed` is of another size.
+    #[must_use]
+    pub fn without(&self, removed: &[bool]) -> Self {
+        let (n, coarse) = (self.finest_occupancy(), self.config.occupancy);
+        assert_eq!(removed.len(), n.pow(3), "a value for every cell of {n} x {n} x {n}");
+        let parent = |cell: usize| {
+            let [x, y, z] = [cell % n, cell / n % n, cell / (n * n)].map(|i| i / (n / coarse));
+            (z * coarse + y) * coarse + x
+        };
+        let occupied = (0..n.pow(3)).map(|cell| !removed[cell] && self.occupied[parent(cell)]).collect();
+        let config = HashGridConfig { occupancy: n, ..self.config };
+        Self::new(config, self.space, self.parameters.clone(), occupied, self.training.clone())
+            .with_training_cameras(self.cameras.clone())
     }
 
     /// The same field with another record of its training.

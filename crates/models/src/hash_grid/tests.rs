@@ -296,3 +296,42 @@ fn configurations_are_checked() {
     }
     assert_eq!(base.resolutions()[0], 16);
 }
+
+#[test]
+fn removed_cells_are_empty_and_the_others_stay() {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    for domain in domains() {
+        let whole = field(domain, &mut rng);
+        let (coarse, n) = (SMALL.occupancy, whole.finest_occupancy());
+        assert_eq!((coarse, n), (8, 128));
+        // One half of the cells along x.
+        let removed: Vec<bool> = (0..n.pow(3)).map(|cell| cell % n < n / 2).collect();
+        let left = whole.without(&removed);
+        let points = positions(&whole, &mut rng, 4000);
+        let densities = |field: &HashGrid| {
+            let mut densities = vec![0.0; points.len()];
+            field.densities(&points, &mut densities);
+            densities
+        };
+        let mut counts = [0; 2];
+        for ((x, before), after) in points.iter().zip(densities(&whole)).zip(densities(&left)) {
+            let Some(u) = whole.space().unit(*x) else { continue };
+            // The window of smaller cells falls faster: nothing is denser than before.
+            assert!(after <= before, "{x}: {before}, {after}");
+            let past = u[0] * n as f32 - (n / 2) as f32;
+            let [i, j, k] = u.map(|v| (v * coarse as f32) as usize);
+            if past < -1.0 {
+                assert_eq!(after, 0.0, "{x}");
+                counts[0] += usize::from(before > 0.0);
+            } else if past > 0.0 && whole.occupied()[(k * coarse + j) * coarse + i] {
+                assert_eq!(after, before, "{x}");
+                counts[1] += 1;
+            }
+        }
+        assert!(counts.iter().all(|count| *count > 100), "{counts:?}");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("left.safetensors");
+        left.write(&path).unwrap();
+        assert_eq!(HashGrid::read(&path).unwrap().occupied(), left.occupied());
+    }
+}

@@ -54,3 +54,33 @@ pub fn splats(rows: &[Row]) -> Result<Splats> {
         RenderMode::Classic,
     )
 }
+
+/// The rows of these splats. Coefficients that they lack are 0.
+pub fn rows(splats: &Splats) -> Vec<Row> {
+    let row = |i: usize| {
+        let mut row = [0.0; WIDTH];
+        row[MEAN..SCALE].copy_from_slice(&splats.mean(i).to_array());
+        row[SCALE..ROTATION].copy_from_slice(&splats.log_scales()[i].to_array());
+        row[ROTATION..LOGIT].copy_from_slice(&splats.rotation(i).to_array());
+        row[LOGIT] = splats.opacity_logits()[i];
+        row[SH..SH + splats.sh(i).len()].copy_from_slice(splats.sh(i));
+        row
+    };
+    (0..splats.len()).map(row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_of_splats_are_those_that_they_were_made_of() {
+        let number = |i: usize| (i as f32 * 0.37).sin();
+        let mut row: Row = std::array::from_fn(number);
+        let unit = rotation(&row).normalize().to_array();
+        row[ROTATION..LOGIT].copy_from_slice(&unit);
+        let found = rows(&splats(&[row]).unwrap())[0];
+        // The rotation is normalised once more.
+        assert!(found.iter().zip(row).all(|(found, expected)| (found - expected).abs() <= 2.0 * f32::EPSILON));
+    }
+}

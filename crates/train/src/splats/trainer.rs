@@ -69,10 +69,28 @@ impl<'a> SplatTrainer<'a> {
             return Err(Error::setting("most splats", "at least one", "0"));
         }
         let first = settings.most.div_ceil(MOST_PER_START);
-        let Start { rows, extent, origin } = Start::new(shots, bounds, points, first, settings.seed);
+        Ok(Self::start(settings, Start::new(shots, bounds, points, first, settings.seed), shots))
+    }
+
+    /// Goes on with splats that were trained before, which are all there is at the start.
+    ///
+    /// # Errors
+    /// As [`SplatTrainer::new`].
+    ///
+    /// # Panics
+    /// If there are no shots.
+    #[doc(hidden)]
+    pub fn from_splats(settings: SplatSettings, bounds: Aabb, splats: &Splats, shots: &'a [Shot]) -> Result<Self> {
+        assert!(!shots.is_empty(), "no images to train on");
+        Self::check_cameras(&shots.iter().map(|shot| shot.camera).collect::<Vec<_>>())?;
+        let (rows, extent) = (cloud::rows(splats), 0.5 * bounds.longest_edge() as f32);
+        Ok(Self::start(settings, Start { rows, extent, origin: SplatOrigin::Box }, shots))
+    }
+
+    fn start(settings: SplatSettings, Start { rows, extent, origin }: Start, shots: &'a [Shot]) -> Self {
         let zeros = vec![[0.0; WIDTH]; rows.len()];
         let asked = vec![[0.0; 2]; rows.len()];
-        Ok(Self { settings, shots, means: zeros.clone(), squares: zeros, asked, rows, extent, origin, steps: 0 })
+        Self { settings, shots, means: zeros.clone(), squares: zeros, asked, rows, extent, origin, steps: 0 }
     }
 
     /// Refuses cameras that splats cannot be trained on.

@@ -1,7 +1,9 @@
-use glam::Quat;
+use glam::{DVec3, Quat};
+use octobayes::geometry::Mask;
 use octobayes_splats::RenderMode;
 
 use super::*;
+use crate::{Reason, Strength};
 
 /// A splat of a deviation and an opacity at a place.
 type Placed = (Vec3, f32, f32);
@@ -31,7 +33,7 @@ const BESIDE: [f64; 5] = [-0.6, -0.3, 0.0, 0.3, 0.6];
 /// Why the splats behind those of the wall go.
 fn reasons(extra: &[Placed], strength: Strength) -> Vec<Option<Reason>> {
     let placed = [wall(), extra.to_vec()].concat();
-    let cleaned = Clean::new(&splats(&placed), &cameras(&BESIDE)).run().unwrap();
+    let cleaned = Clean::new(&cameras(&BESIDE)).splats(&splats(&placed)).unwrap();
     let removed = cleaned.removed(strength);
     assert!(removed[..400].iter().all(Option::is_none), "the wall stays: {:?}", cleaned.counts(strength));
     removed[400..].to_vec()
@@ -92,7 +94,7 @@ fn strengths_are_nested_and_counts_agree() {
     };
     let placed = [wall(), (0..200).map(cloud).collect()].concat();
     let (splats, cameras) = (splats(&placed), cameras(&BESIDE));
-    let cleaned = Clean::new(&splats, &cameras).run().unwrap();
+    let cleaned = Clean::new(&cameras).splats(&splats).unwrap();
     let [careful, normal, strong] = Strength::ALL.map(|strength| cleaned.removed(strength));
     for i in 0..splats.len() {
         assert!(careful[i].is_none() || careful[i] == normal[i], "{i}");
@@ -102,7 +104,7 @@ fn strengths_are_nested_and_counts_agree() {
     assert!(0 < all[0] && all[0] < all[1] && all[1] < all[2] && all[2] <= 200, "{all:?}");
     // Nothing depends on threads or on how often it is run.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    assert_eq!(pool.install(|| Clean::new(&splats, &cameras).run().unwrap()), cleaned);
+    assert_eq!(pool.install(|| Clean::new(&cameras).splats(&splats).unwrap()), cleaned);
 }
 
 #[test]
@@ -112,7 +114,7 @@ fn fewer_pixels_find_nearly_the_same() {
     let placed = [wall(), extra.collect()].concat();
     let (splats, cameras) = (splats(&placed), cameras(&BESIDE));
     for pixels in [u64::MAX, 2_000] {
-        let cleaned = Clean::new(&splats, &cameras).pixels(pixels).run().unwrap();
+        let cleaned = Clean::new(&cameras).pixels(pixels).splats(&splats).unwrap();
         assert_eq!(cleaned.counts(Strength::Normal)[Reason::Floating as usize], 40, "{pixels} pixels");
         assert!(cleaned.pixels[0] <= pixels && cleaned.pixels[1] == 5 * 48 * 48, "{:?}", cleaned.pixels);
     }
@@ -125,7 +127,7 @@ fn thin_things_between_the_pixels_that_are_looked_at_stay() {
     let placed = [wall(), wire.collect()].concat();
     let (splats, cameras) = (splats(&placed), cameras(&BESIDE));
     for pixels in [u64::MAX, 500] {
-        let cleaned = Clean::new(&splats, &cameras).pixels(pixels).run().unwrap();
+        let cleaned = Clean::new(&cameras).pixels(pixels).splats(&splats).unwrap();
         let gone = cleaned.removed(Strength::Careful)[400..].iter().flatten().count();
         assert!(gone < 4, "{gone} of 400 with {pixels} pixels");
     }
@@ -135,7 +137,7 @@ fn thin_things_between_the_pixels_that_are_looked_at_stay() {
 fn views_that_do_not_fit_are_refused() {
     let splats = splats(&wall());
     let cameras = cameras(&[0.0, 0.1]);
-    let refused = |masks: &[Option<Mask>]| Clean::new(&splats, &cameras).masks(masks).run().unwrap_err().to_string();
+    let refused = |masks: &[Option<Mask>]| Clean::new(&cameras).masks(masks).splats(&splats).unwrap_err().to_string();
     let expected = "masks: expected a mask or none for each camera, of its size: [[48, 48], [48, 48]], found ";
     assert_eq!(refused(&[None]), format!("{expected}[None]"));
     let small = Mask::new([8, 8], |_, _| true);
@@ -147,7 +149,7 @@ fn a_mask_leaves_its_pixels_out() {
     let placed = [wall(), vec![(Vec3::new(2.0, 0.0, 0.0), 0.02, 0.5)]].concat();
     let (splats, cameras) = (splats(&placed), cameras(&[0.0]));
     let found = |masks: &[Option<Mask>]| {
-        let cleaned = Clean::new(&splats, &cameras).masks(masks).run().unwrap();
+        let cleaned = Clean::new(&cameras).masks(masks).splats(&splats).unwrap();
         (cleaned.evidence.weight[400], cleaned.evidence.inside[400])
     };
     let whole = found(&[]);
@@ -156,16 +158,16 @@ fn a_mask_leaves_its_pixels_out() {
     let mask = Mask::new([48, 48], |column, row| column.abs_diff(24) > 5 || row.abs_diff(24) > 5);
     assert_eq!(found(&[Some(mask.clone())]), (0.0, 0));
     // It is not known whether the view shows it.
-    let cleaned = Clean::new(&splats, &cameras).masks(&[Some(mask)]).run().unwrap();
+    let cleaned = Clean::new(&cameras).masks(&[Some(mask)]).splats(&splats).unwrap();
     assert_eq!(cleaned.removed(Strength::Careful)[400], None);
 }
 
 #[test]
 fn scenes_that_the_cameras_do_not_show_are_refused() {
     let splats = splats(&wall());
-    let error = Clean::new(&splats, &[]).run().unwrap_err().to_string();
+    let error = Clean::new(&[]).splats(&splats).unwrap_err().to_string();
     assert!(error.starts_with("cameras: expected at least one"), "{error}");
     let away = [Camera::look_at(DVec3::ZERO, -DVec3::X, DVec3::Z, 0.4, [16, 16])];
-    let error = Clean::new(&splats, &away).run().unwrap_err().to_string();
-    assert!(error.contains("found none of 400 in its place"), "{error}");
+    let error = Clean::new(&away).splats(&splats).unwrap_err().to_string();
+    assert!(error.contains("found none of 400 parts in its place"), "{error}");
 }

@@ -1,0 +1,251 @@
+//! Cells of a volume as parts.
+//!
+//! A grid divides the space that the model covers. What a ray meets in a cell is a part of its pixel as a splat is, so
+//! that the same rule says which cells go.
+
+use glam::{DVec3, Vec3};
+use octobayes::estimate::{Model, RaySettings};
+use octobayes::geometry::{Camera, Domain};
+use octobayes::render::Renderer;
+use octobayes::{Error, Result};
+use octobayes_splats::stride_for;
+use rayon::prelude::*;
+
+use crate::evidence::Parts;
+use crate::run::Listing;
+use crate::views::{Listed, ListedPoints, ListedRow, ListedView, Views};
+use crate::{Clean, Cleaned, Reason, Rule, Strength};
+
+/// What takes less of the light in a cell is not listed.
+const LEAST_ALPHA: f64 = 1e-4;
+/// A cell holds matter if a ray along its edge loses this part of its light in it.
+const LEAST_MATTER: f64 = 0.01;
+
+/// The cells of a grid of n × n × n over a space, x fastest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cells {
+    domain: Domain,
+    n: u32,
+}
+
+impl Cells {
+    /// Most cells along an edge: their numbers have 32 bits.
+    const MOST: u32 = 1024;
+
+    /// Divides `domain` into `n` cells along each edge.
+    ///
+    /// # Errors
+    /// If `n` is 0 or above 1024.
+    pub fn new(domain: Domain, n: u32) -> Result<Self> {
+        match n {
+            1..=Self::MOST => Ok(Self { domain, n }),
+            _ => Err(Error::setting("cells", format!("1 to {} along an edge", Self::MOST), n.to_string())),
+        }
+    }
+
+    /// Number of cells along an edge.
+    #[must_use]
+    pub fn per_edge(&self) -> u32 {
+        self.n
+    }
+
+    /// Number of all cells.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        (self.n as usize).pow(3)
+    }
+
+    /// Never.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        false
+    }
+
+    /// The cell around a place; `None` outside the space.
+    #[must_use]
+    pub fn around(&self, x: Vec3) -> Option<usize> {
+        let at = |u: f64| ((u * f64::from(self.n)) as usize).min(self.n as usize - 1);
+        self.domain.to_unit(x).map(|u| self.index(u.to_array().map(at)))
+    }
+
+    fn index(&self, [x, y, z]: [usize; 3]) -> usize {
+        let n = self.n as usize;
+        (z * n + y) * n + x
+    }
+
+    fn place(&self, cell: usize) -> [usize; 3] {
+        let n = self.n as usize;
+        [cell % n, cell / n % n, cell / (n * n)]
+    }
+
+    /// The middle of a cell, scene units.
+    #[must_use]
+    pub fn center(&self, cell: usize) -> Vec3 {
+        self.scene(cell, 0.5).as_vec3()
+    }
+
+    fn scene(&self, cell: usize, share: f64) -> DVec3 {
+        self.domain.to_scene(DVec3::from(self.place(cell).map(|i| (i as f64 + share) / f64::from(self.n))))
+    }
+
+    /// The edge of a cube as long across as a cell, scene units.
+    fn edge(&self, cell: usize) -> f64 {
+        (self.scene(cell, 1.0) - self.scene(cell, 0.0)).length() / 3_f64.sqrt()
+    }
+
+    /// The cells that touch one at a face, an edge or a corner.
+    fn beside(&self, cell: usize) -> impl Iterator<Item = usize> {
+        let (n, [x, y, z]) = (self.n as usize, self.place(cell));
+        let near = move |i: usize| i.saturating_sub(1)..(i + 2).min(n);
+        let cells = *self;
+        near(z).flat_map(move |z| near(y).flat_map(move |y| near(x).map(move |x| cells.index([x, y, z]))))
+    }
+}
+
+/// The cells of a volume that pixels show or no camera has in its image, and what goes of them.
+#[derive(Debug, Clone)]
+pub struct CleanedVolume {
+    /// The grid.
+    pub cells: Cells,
+    /// `[n]`: the cell of each part, increasing.
+    pub parts: Vec<usize>,
+    /// The parts and what goes of them.
+    pub cleaned: Cleaned,
+}
+
+impl CleanedVolume {
+    /// `[cells]`: why a cell goes at a strength, if it does. What touches one that goes goes with it if it is shown by
+    /// no pixel.
+    #[must_use]
+    pub fn removed(&self, strength: Strength) -> Vec<Option<Reason>> {
+        let mut all = vec![None; self.cells.len()];
+        let mut is_part = vec![false; self.cells.len()];
+        self.parts.iter().for_each(|&cell| is_part[cell] = true);
+        for (&cell, reason) in self.parts.iter().zip(self.cleaned.removed(strength)) {
+            all[cell] = reason;
+            if reason.is_some() {
+                self.cells.beside(cell).filter(|&near| !is_part[near]).for_each(|near| all[near] = reason);
+            }
+        }
+        all
+    }
+}
+
+impl Clean<'_> {
+    /// Finds which of `cells` of a volume go at each strength.
+    ///
+    /// # Errors
+    /// If there is no camera, if masks are not those of the cameras, if the model has no density, if nothing would be
+    /// left at any strength, or [`Error::Interrupted`](octobayes::Error::Interrupted).
+    pub fn volume(&self, model: &dyn Model, cells: Cells) -> Result<CleanedVolume> {
+        self.check_cameras()?;
+        let field = model.field().ok_or_else(|| Error::setting("model", "a volume", model.kind()))?;
+        let renderer = model.for_images(&RaySettings::for_images(), None, self.monitor)?;
+        let stride = stride_for(self.cameras.iter().map(Camera::pixels).sum(), self.pixels);
+        let pixels =
+            Views { cameras: self.cameras, masks: self.masks, pixel_offset: self.pixel_offset, stride, every: 1 };
+        let mut views: Vec<ListedView> = Vec::new();
+        list_cells(&pixels, &*renderer, cells, self, |view| views.push(view))?;
+
+        let mut is_part = vec![false; cells.len()];
+        views.iter().flat_map(|view| &view.rows).flat_map(ListedRow::hits).for_each(|hit| {
+            is_part[hit.part as usize] = true;
+        });
+        let beside: Vec<usize> = (0..cells.len()).into_par_iter().filter(|&i| !is_part[i]).collect();
+        let in_no_image = |i: &usize| {
+            let x = cells.center(*i).as_dvec3();
+            self.cameras.iter().all(|camera| camera.project_inside(x).is_none())
+        };
+        let beside: Vec<usize> = beside.into_par_iter().filter(in_no_image).collect();
+        for (cell, density) in beside.iter().zip(densities(field, &beside, cells)) {
+            is_part[*cell] = f64::from(density) * cells.edge(*cell) >= LEAST_MATTER;
+        }
+        let parts: Vec<usize> = (0..cells.len()).filter(|&i| is_part[i]).collect();
+        let mut number = vec![0; cells.len()];
+        parts.iter().enumerate().for_each(|(i, &cell)| number[cell] = i as u32);
+        let rows = views.par_iter_mut().flat_map(|view| &mut view.rows);
+        rows.for_each(|row| row.hits_mut().iter_mut().for_each(|hit| hit.part = number[hit.part as usize]));
+
+        let centers: Vec<Vec3> = parts.iter().map(|&cell| cells.center(cell)).collect();
+        let reach: Vec<f32> = parts.iter().map(|&cell| (self.rule.of_cells.reach * cells.edge(cell)) as f32).collect();
+        // What is inside of objects is hidden as well: only what is in no image at all goes unseen.
+        let is_in_image = |x: &Vec3| self.cameras.iter().any(|camera| camera.project_inside(x.as_dvec3()).is_some());
+        let may_be_shown = centers.par_iter().map(is_in_image).collect();
+        let parts_at = Parts { centers: &centers, reach: &reach, by_window: true };
+        let clean = Self { rule: Rule { on: self.rule.of_cells.on, ..self.rule }, ..*self };
+        let cleaned = clean.decide(&Listing { views, parts: parts_at, opacities: Vec::new(), may_be_shown })?;
+        Ok(CleanedVolume { cells, parts, cleaned })
+    }
+}
+
+/// Densities at the middles of cells.
+fn densities(field: &dyn octobayes::field::RadianceField, chosen: &[usize], cells: Cells) -> Vec<f32> {
+    const AT_ONCE: usize = 1 << 14;
+    let of_some = |chosen: &[usize]| {
+        let centers: Vec<Vec3> = chosen.iter().map(|&cell| cells.center(cell)).collect();
+        let mut found = vec![0.0; centers.len()];
+        field.densities(&centers, &mut found);
+        found
+    };
+    chosen.par_chunks(AT_ONCE).flat_map_iter(of_some).collect()
+}
+
+/// Lists what rays meet in each cell, in the views that they belong to.
+fn list_cells(
+    views: &Views,
+    renderer: &dyn Renderer,
+    cells: Cells,
+    clean: &Clean,
+    take: impl FnMut(ListedView),
+) -> Result<()> {
+    let prepare = |camera: &Camera| {
+        let camera = *camera;
+        move |points: &[[f64; 2]], listed: &mut ListedPoints| {
+            let found = renderer.weighted(&[(camera, points.to_vec())], clean.monitor)?;
+            for (ray, &[x, y]) in points.iter().enumerate() {
+                let ray_of = camera.ray(x, y);
+                // Depths are along the view axis.
+                let slant = camera.project(ray_of.at(1.0)).map_or(1.0, |(_, depth)| depth);
+                let range = found.samples(ray);
+                let samples = range.map(|i| (found.positions[i], found.weights[i], found.t[i]));
+                listed.push(met(samples, cells, slant));
+            }
+            Ok(())
+        }
+    };
+    views.list(clean.monitor, prepare, take)
+}
+
+/// What a ray meets in each cell, from its samples: position, share of the light, distance.
+fn met(samples: impl Iterator<Item = (Vec3, f64, f64)>, cells: Cells, slant: f64) -> Vec<Listed> {
+    let mut met: Vec<Listed> = Vec::new();
+    // The cell that the ray is in, the light before it, its share of the light, and Σ w t.
+    let mut latest: Option<(usize, f64, f64, f64)> = None;
+    let mut light = 1.0;
+    let mut end = |latest: Option<(usize, f64, f64, f64)>| {
+        let Some((cell, before, weight, moment)) = latest else { return };
+        let alpha = weight / before;
+        if alpha >= LEAST_ALPHA {
+            let depth = (slant * moment / weight) as f32;
+            met.push(Listed { part: cell as u32, alpha: alpha.min(1.0) as f32, depth });
+        }
+    };
+    for (x, weight, t) in samples {
+        let Some(cell) = cells.around(x).filter(|_| weight > 0.0 && light > 0.0) else { continue };
+        latest = match latest {
+            Some((same, before, sum, moment)) if same == cell => {
+                Some((cell, before, sum + weight, moment + weight * t))
+            }
+            ended => {
+                end(ended);
+                Some((cell, light, weight, weight * t))
+            }
+        };
+        light -= weight;
+    }
+    end(latest);
+    met
+}
+
+#[cfg(test)]
+mod tests;
