@@ -5,17 +5,28 @@
 #[must_use]
 pub fn recall_at(precision: f64, score: &[f64], is_positive: &[bool]) -> f64 {
     let all = is_positive.iter().filter(|is| **is).count().max(1) as f64;
+    let found = marked(score, is_positive).filter(|[marked, hits]| *hits >= precision * marked);
+    found.last().map_or(0.0, |[_, hits]| hits / all)
+}
+
+/// The share of what `is_positive` above the highest threshold of the score that finds `recall` of it all.
+#[must_use]
+pub fn precision_of(recall: f64, score: &[f64], is_positive: &[bool]) -> f64 {
+    let all = is_positive.iter().filter(|is| **is).count() as f64;
+    let found = marked(score, is_positive).find(|[_, hits]| *hits >= recall * all);
+    found.map_or(1.0, |[marked, hits]| hits / marked)
+}
+
+/// For each threshold of the score, from the highest, how many are above it, and how many of these `is_positive`.
+fn marked<'a>(score: &'a [f64], is_positive: &'a [bool]) -> impl Iterator<Item = [f64; 2]> {
     let mut order: Vec<usize> = (0..score.len()).collect();
     order.sort_by(|&a, &b| score[b].total_cmp(&score[a]));
-    let (mut marked, mut hits, mut most) = (0.0, 0.0, 0.0);
-    for equal in order.chunk_by(|&a, &b| score[a] == score[b]) {
-        marked += equal.len() as f64;
-        hits += equal.iter().filter(|&&i| is_positive[i]).count() as f64;
-        if hits >= precision * marked {
-            most = hits / all;
-        }
-    }
-    most
+    let equal: Vec<Vec<usize>> = order.chunk_by(|&a, &b| score[a] == score[b]).map(<[usize]>::to_vec).collect();
+    equal.into_iter().scan([0.0; 2], |sums, equal| {
+        sums[0] += equal.len() as f64;
+        sums[1] += equal.iter().filter(|&&i| is_positive[i]).count() as f64;
+        Some(*sums)
+    })
 }
 
 #[cfg(test)]
@@ -30,5 +41,7 @@ mod tests {
         // The second and third are marked together.
         assert_eq!(recall_at(0.9, &[5.0, 3.0, 3.0, 2.0, 1.0], &positive), 1.0 / 3.0);
         assert_eq!(recall_at(0.9, &[1.0; 5], &positive), 0.0);
+        let precision = |recall| precision_of(recall, &[5.0, 3.0, 3.0, 2.0, 1.0], &positive);
+        assert_eq!([0.3, 0.5, 1.0].map(precision), [1.0, 2.0 / 3.0, 0.75]);
     }
 }

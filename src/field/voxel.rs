@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::{Differentiable, Radiance, RadianceField, RadianceJet, TrainedField};
 use crate::geometry::Aabb;
+use crate::monitor::{Monitor, Silent, check};
 use crate::octree::trilinear;
 use crate::{Error, Result};
 
@@ -76,35 +77,54 @@ impl VoxelGrid {
     /// If `shape` has fewer than 2 points along an axis.
     #[must_use]
     pub fn bake(field: &dyn RadianceField, shape: [usize; 3], view: Vec3) -> Self {
-        Self::baked(field, shape, |_| view)
+        Self::baked(field, shape, |_| view, &Silent).expect("nothing interrupts")
     }
 
     /// [`VoxelGrid::bake`] with each point seen from the nearest of `eyes`, of which there must be one.
     ///
+    /// # Errors
+    /// [`Error::Interrupted`], or if the field is not finite or a colour out of range.
+    ///
     /// # Panics
     /// If there is none, or as [`VoxelGrid::bake`].
-    #[must_use]
-    pub fn bake_from(field: &dyn RadianceField, shape: [usize; 3], eyes: &[Vec3]) -> Self {
+    pub fn bake_from(
+        field: &dyn RadianceField,
+        shape: [usize; 3],
+        eyes: &[Vec3],
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
         let nearest = |x: Vec3| {
-            let by_distance = |a: &&Vec3, b: &&Vec3| a.distance_squared(x).total_cmp(&b.distance_squared(x));
-            eyes.iter().copied().min_by(|a, b| by_distance(&a, &b)).expect("an eye")
+            let by_distance = |a: &Vec3, b: &Vec3| a.distance_squared(x).total_cmp(&b.distance_squared(x));
+            eyes.iter().copied().min_by(by_distance).expect("an eye")
         };
-        Self::baked(field, shape, |x| (x - nearest(x)).try_normalize().unwrap_or(Vec3::Z))
+        let grid = Self::baked(field, shape, |x| (x - nearest(x)).try_normalize().unwrap_or(Vec3::Z), monitor)?;
+        Self::new(grid.bounds, grid.shape, grid.values)
     }
 
-    fn baked(field: &dyn RadianceField, shape: [usize; 3], view: impl Fn(Vec3) -> Vec3 + Sync) -> Self {
+    fn baked(
+        field: &dyn RadianceField,
+        shape: [usize; 3],
+        view: impl Fn(Vec3) -> Vec3 + Sync,
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
         assert!(shape.iter().all(|&n| n >= 2), "a grid needs at least 2 points per axis, got {shape:?}");
-        let mut grid = Self { bounds: field.bounds(), shape, values: vec![[0.0; 4]; shape.iter().product()] };
-        let point = |i| grid.point(i);
-        let of_row = |row: usize| {
-            let positions: Vec<Vec3> = (row * shape[2]..(row + 1) * shape[2]).map(point).collect();
+        let grid = Self { bounds: field.bounds(), shape, values: Vec::new() };
+        let mut values = vec![[0.0; 4]; shape.iter().product()];
+        monitor.begin("voxel grid", (shape[0] * shape[1]) as u64);
+        let fill = |(row, values): (usize, &mut [[f32; 4]])| {
+            check(monitor)?;
+            let positions: Vec<Vec3> = (row * shape[2]..(row + 1) * shape[2]).map(|i| grid.point(i)).collect();
             let views: Vec<Vec3> = positions.iter().map(|&x| view(x)).collect();
             let mut radiance = vec![Radiance::default(); shape[2]];
             field.evaluate(&positions, &views, &mut radiance);
-            radiance.into_iter().map(|r| [r.color.x, r.color.y, r.color.z, r.density])
+            let numbers = radiance.into_iter().map(|r| [r.color.x, r.color.y, r.color.z, r.density]);
+            values.iter_mut().zip(numbers).for_each(|(value, number)| *value = number);
+            monitor.advance(1);
+            Ok(())
         };
-        grid.values = (0..shape[0] * shape[1]).into_par_iter().flat_map_iter(of_row).collect();
-        grid
+        values.par_chunks_exact_mut(shape[2]).enumerate().try_for_each(fill)?;
+        monitor.end();
+        Ok(Self { values, ..grid })
     }
 
     /// Grid point `i` of [`VoxelGrid::values`], scene units.
@@ -247,6 +267,35 @@ mod tests {
             assert!((e.density - f.density).abs() < 1e-3 && (e.color - f.color).abs().max_element() < 1e-3);
         }
         assert_eq!(grid.at(Vec3::new(0.0, 0.0, 1.001)).density, 0.0);
+    }
+
+    #[test]
+    fn points_are_seen_from_the_nearest_eye_and_may_be_emptied() {
+        /// As bright as its view direction goes along x.
+        struct Lamp;
+        impl RadianceField for Lamp {
+            fn bounds(&self) -> Aabb {
+                Aabb::centered_cube(1.0)
+            }
+            fn evaluate(&self, _positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
+                for (d, out) in directions.iter().zip(out) {
+                    *out = Radiance { density: 3.0, color: Vec3::splat(0.5 + 0.5 * d.x) };
+                }
+            }
+            fn suggested_step(&self) -> f64 {
+                0.1
+            }
+        }
+        let eyes = [Vec3::X * -2.0, Vec3::X * 3.0];
+        let grid = VoxelGrid::bake_from(&Lamp, [5, 3, 2], &eyes, &Silent).unwrap().without(|x| x.y > 0.5);
+        for (i, &[red, .., density]) in grid.values().iter().enumerate() {
+            let x = grid.point(i);
+            // Nearer to the first eye up to x = 0.5, where both are as far away, the first counts.
+            let eye = eyes[usize::from(x.distance(eyes[1]) < x.distance(eyes[0]))];
+            assert!((red - (0.5 + 0.5 * (x - eye).normalize().x)).abs() < 1e-6, "{x}");
+            assert_eq!(density == 0.0, x.y > 0.5, "{x}");
+        }
+        assert_eq!([grid.point(0), grid.point(29)], [Vec3::NEG_ONE, Vec3::ONE]);
     }
 
     #[test]

@@ -121,11 +121,18 @@ impl Camera {
         })
     }
 
-    /// Image coordinates and depth of a scene point as [`Camera::project`]; `None` outside the image, too.
+    /// Image coordinates and depth of a scene point as [`Camera::project`]; `None` outside the image, too. What a
+    /// polynomial of the lens folds back into the image from far beside it is outside.
     #[must_use]
     pub fn project_inside(&self, x: DVec3) -> Option<([f64; 2], f64)> {
         let is_inside = |at: &[f64; 2]| at.iter().zip(self.resolution).all(|(v, n)| (0.0..f64::from(n)).contains(v));
-        self.project(x).filter(|(at, _)| is_inside(at))
+        let found = self.project(x).filter(|(at, _)| is_inside(at))?;
+        if self.distortion == Distortion::default() {
+            return Some(found);
+        }
+        let (at, p) = (found.0, self.axes.transpose() * (x - self.position));
+        let (ideal, seen) = ([-p.x / p.z, p.y / p.z], [0, 1].map(|k| (at[k] - self.center[k]) / self.focal[k]));
+        self.distortion.keeps_its_side(ideal, seen).then_some(found)
     }
 
     /// What makes the camera impossible, or `None`. Meant for cameras read from files.
@@ -363,5 +370,19 @@ mod tests {
         let camera = Camera::look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z, 0.7, [40, 40]);
         assert!(camera.ray(20.0, 0.0).direction.z > 0.0, "the top row looks up");
         assert!(camera.ray(40.0, 20.0).direction.x > 0.0, "the right column looks right");
+    }
+
+    #[test]
+    fn what_a_lens_folds_back_into_the_image_is_outside() {
+        let pinhole = Camera::look_at(DVec3::ZERO, DVec3::X, DVec3::Z, 1.2, [80, 60]);
+        // r (1 - 0.3 r²) rises up to r = 1.05, and comes back to 0 at 1.83.
+        let distortion = Distortion { k: [-0.3, 0.0, 0.0, 0.0], ..Distortion::default() };
+        let camera = Camera { distortion, ..pinhole };
+        let at = |r: f64| DVec3::new(1.0, r, 0.0);
+        for (r, is_inside) in [(0.0, true), (0.4, true), (0.8, true), (1.5, false), (1.8, false), (2.5, false)] {
+            assert_eq!(camera.project_inside(at(r)).is_some(), is_inside, "{r}");
+        }
+        assert!([1.5, 1.8].iter().all(|&r| camera.project(at(r)).is_some_and(|([x, _], _)| (0.0..80.0).contains(&x))));
+        assert_eq!(camera.project_inside(at(0.4)), camera.project(at(0.4)));
     }
 }

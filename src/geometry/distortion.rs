@@ -99,7 +99,7 @@ impl Distortion {
     }
 
     /// Whether the lens puts the point `ideal` at `seen`, and folds nothing over between the centre and it.
-    fn keeps_its_side(&self, ideal: [f64; 2], seen: [f64; 2]) -> bool {
+    pub(super) fn keeps_its_side(&self, ideal: [f64; 2], seen: [f64; 2]) -> bool {
         const STEPS: u32 = 16;
         let back = self.distort(ideal);
         let scale = 1.0 + seen[0].abs().max(seen[1].abs());

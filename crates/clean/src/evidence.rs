@@ -271,24 +271,27 @@ enum Stand {
 impl DepthMap {
     /// Where the parts of a row's pixels are.
     fn places(&self, row: usize, shares: &[Share], parts: Parts) -> Vec<Place> {
-        let place = |share: &Share| {
-            let surface = self.depths[row][share.column as usize];
+        let of_pixel = |shares: &[Share]| {
+            let column = shares[0].column;
+            let surface = self.depths[row][column as usize];
             let nearest = if parts.by_window {
-                self.window([i64::from(share.column), row as i64]).fold(f64::INFINITY, f64::min)
+                self.window([i64::from(column), row as i64]).fold(f64::INFINITY, f64::min)
             } else {
                 f64::from(surface)
             };
-            match () {
-                () if surface.is_nan() => Place::Surface,
-                () if nearest.is_infinite() => Place::Empty,
-                () if f64::from(share.depth) + parts.reach(share.part as usize) < (1.0 - SLACK) * nearest => {
-                    Place::Front
+            let place = |share: &Share| {
+                let farthest = f64::from(share.depth) + parts.reach(share.part as usize);
+                match () {
+                    () if surface.is_nan() => Place::Surface,
+                    () if nearest.is_infinite() => Place::Empty,
+                    () if farthest < (1.0 - SLACK) * nearest => Place::Front,
+                    () if surface.is_infinite() => Place::Empty,
+                    () => Place::Surface,
                 }
-                () if surface.is_infinite() => Place::Empty,
-                () => Place::Surface,
-            }
+            };
+            shares.iter().map(place).collect::<Vec<_>>()
         };
-        shares.iter().map(place).collect()
+        shares.chunk_by(|a, b| a.column == b.column).flat_map(of_pixel).collect()
     }
 
     /// The surfaces that are known of a pixel and those beside it.

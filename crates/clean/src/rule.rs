@@ -18,7 +18,7 @@ octobayes::choices! {
     #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
     pub enum Reason {
         Floating = "floating", "hangs in front of the surfaces that training views show";
-        Unseen = "unseen", "is behind surfaces in all training views, or beside their images";
+        Unseen = "unseen", "is beside the images of all training views, or, if it is a splat, behind surfaces";
         Outside = "outside", "is far outside everything that the training views show";
         Transparent = "transparent", "is so thin that hardly a pixel shows it";
     }

@@ -46,6 +46,7 @@ pub(crate) struct ListedRow {
     hits: Vec<Listed>,
     /// Where each pixel's parts end; the next one's begin there.
     ends: Vec<u32>,
+    /// By the mask, or because what it shows is not known.
     is_masked: Vec<bool>,
 }
 
@@ -54,6 +55,7 @@ pub(crate) struct ListedRow {
 pub(crate) struct ListedPoints {
     hits: Vec<Listed>,
     ends: Vec<u32>,
+    is_unknown: Vec<bool>,
 }
 
 impl ListedPoints {
@@ -61,6 +63,13 @@ impl ListedPoints {
     pub fn push(&mut self, hits: impl IntoIterator<Item = Listed>) {
         self.hits.extend(hits);
         self.ends.push(self.hits.len() as u32);
+        self.is_unknown.push(false);
+    }
+
+    /// Adds a point of which it is not known what it shows.
+    pub fn push_unknown(&mut self) {
+        self.ends.push(self.hits.len() as u32);
+        self.is_unknown.push(true);
     }
 }
 
@@ -132,12 +141,14 @@ impl Views<'_> {
                 kept.map(|(&column, _)| [column, row].map(|i| f64::from(i) + self.pixel_offset)).collect();
             let mut listed = ListedPoints::default();
             list(&points, &mut listed)?;
-            let (mut ends, mut last) = (listed.ends.into_iter(), 0);
-            let mut end = |is_masked: &bool| {
-                last = if *is_masked { last } else { ends.next().expect("an end of every point") };
-                last
-            };
-            let ends = is_masked.iter().map(&mut end).collect();
+            let mut points = listed.ends.into_iter().zip(listed.is_unknown);
+            let (mut is_masked, mut ends, mut last) = (is_masked, Vec::with_capacity(columns.len()), 0);
+            for is_masked in &mut is_masked {
+                if !*is_masked {
+                    (last, *is_masked) = points.next().expect("an end of every point");
+                }
+                ends.push(last);
+            }
             listed.hits.shrink_to_fit();
             Ok(ListedRow { hits: listed.hits, ends, is_masked })
         };

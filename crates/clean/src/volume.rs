@@ -21,61 +21,49 @@ const LEAST_ALPHA: f64 = 1e-4;
 /// A cell holds matter if a ray along its edge loses this part of its light in it.
 const LEAST_MATTER: f64 = 0.01;
 
-/// The cells of a grid of n × n × n over a space, x fastest.
+/// The cells of a grid over a space, x fastest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cells {
     domain: Domain,
-    n: u32,
+    /// Along x, y and z.
+    n: [u32; 3],
 }
 
 impl Cells {
     /// Most cells along an edge: their numbers have 32 bits.
     const MOST: u32 = 1024;
 
-    /// Divides `domain` into `n` cells along each edge.
+    /// Divides `domain` into `n` cells along x, y and z.
     ///
     /// # Errors
-    /// If `n` is 0 or above 1024.
-    pub fn new(domain: Domain, n: u32) -> Result<Self> {
-        match n {
-            1..=Self::MOST => Ok(Self { domain, n }),
-            _ => Err(Error::setting("cells", format!("1 to {} along an edge", Self::MOST), n.to_string())),
+    /// If a number is 0 or above 1024.
+    pub fn new(domain: Domain, n: [u32; 3]) -> Result<Self> {
+        if n.iter().all(|n| (1..=Self::MOST).contains(n)) {
+            return Ok(Self { domain, n });
         }
-    }
-
-    /// Number of cells along an edge.
-    #[must_use]
-    pub fn per_edge(&self) -> u32 {
-        self.n
+        Err(Error::setting("cells", format!("1 to {} along an edge", Self::MOST), format!("{n:?}")))
     }
 
     /// Number of all cells.
     #[must_use]
-    pub fn len(&self) -> usize {
-        (self.n as usize).pow(3)
-    }
-
-    /// Never.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        false
+    pub fn count(&self) -> usize {
+        self.n.iter().map(|&n| n as usize).product()
     }
 
     /// The cell around a place; `None` outside the space.
     #[must_use]
     pub fn around(&self, x: Vec3) -> Option<usize> {
-        let at = |u: f64| ((u * f64::from(self.n)) as usize).min(self.n as usize - 1);
-        self.domain.to_unit(x).map(|u| self.index(u.to_array().map(at)))
+        let u = self.domain.to_unit(x)?;
+        Some(self.index([0, 1, 2].map(|k| ((u[k] * f64::from(self.n[k])) as usize).min(self.n[k] as usize - 1))))
     }
 
     fn index(&self, [x, y, z]: [usize; 3]) -> usize {
-        let n = self.n as usize;
-        (z * n + y) * n + x
+        (z * self.n[1] as usize + y) * self.n[0] as usize + x
     }
 
     fn place(&self, cell: usize) -> [usize; 3] {
-        let n = self.n as usize;
-        [cell % n, cell / n % n, cell / (n * n)]
+        let [nx, ny, _] = self.n.map(|n| n as usize);
+        [cell % nx, cell / nx % ny, cell / (nx * ny)]
     }
 
     /// The middle of a cell, scene units.
@@ -85,20 +73,20 @@ impl Cells {
     }
 
     fn scene(&self, cell: usize, share: f64) -> DVec3 {
-        self.domain.to_scene(DVec3::from(self.place(cell).map(|i| (i as f64 + share) / f64::from(self.n))))
+        let place = self.place(cell);
+        self.domain.to_scene(DVec3::from([0, 1, 2].map(|k| (place[k] as f64 + share) / f64::from(self.n[k]))))
     }
 
-    /// The edge of a cube as long across as a cell, scene units.
+    /// The edge of a cube with the diagonal of a cell, scene units.
     fn edge(&self, cell: usize) -> f64 {
         (self.scene(cell, 1.0) - self.scene(cell, 0.0)).length() / 3_f64.sqrt()
     }
 
     /// The cells that touch one at a face, an edge or a corner.
     fn beside(&self, cell: usize) -> impl Iterator<Item = usize> {
-        let (n, [x, y, z]) = (self.n as usize, self.place(cell));
-        let near = move |i: usize| i.saturating_sub(1)..(i + 2).min(n);
-        let cells = *self;
-        near(z).flat_map(move |z| near(y).flat_map(move |y| near(x).map(move |x| cells.index([x, y, z]))))
+        let (cells, place) = (*self, self.place(cell));
+        let near = move |k: usize| place[k].saturating_sub(1)..(place[k] + 2).min(cells.n[k] as usize);
+        near(2).flat_map(move |z| near(1).flat_map(move |y| near(0).map(move |x| cells.index([x, y, z]))))
     }
 }
 
@@ -111,20 +99,20 @@ pub struct CleanedVolume {
     pub parts: Vec<usize>,
     /// The parts and what goes of them.
     pub cleaned: Cleaned,
+    /// `[cells]`: whether it is no part and holds no matter.
+    is_thin: Vec<bool>,
 }
 
 impl CleanedVolume {
-    /// `[cells]`: why a cell goes at a strength, if it does. What touches one that goes goes with it if it is shown by
-    /// no pixel.
+    /// `[cells]`: why a cell goes at a strength, if it does. Cells without matter that touch one that goes go with it:
+    /// they may hold its rim.
     #[must_use]
     pub fn removed(&self, strength: Strength) -> Vec<Option<Reason>> {
-        let mut all = vec![None; self.cells.len()];
-        let mut is_part = vec![false; self.cells.len()];
-        self.parts.iter().for_each(|&cell| is_part[cell] = true);
+        let mut all = vec![None; self.cells.count()];
         for (&cell, reason) in self.parts.iter().zip(self.cleaned.removed(strength)) {
-            all[cell] = reason;
             if reason.is_some() {
-                self.cells.beside(cell).filter(|&near| !is_part[near]).for_each(|near| all[near] = reason);
+                all[cell] = reason;
+                self.cells.beside(cell).filter(|&near| self.is_thin[near]).for_each(|near| all[near] = reason);
             }
         }
         all
@@ -147,21 +135,23 @@ impl Clean<'_> {
         let mut views: Vec<ListedView> = Vec::new();
         list_cells(&pixels, &*renderer, cells, self, |view| views.push(view))?;
 
-        let mut is_part = vec![false; cells.len()];
+        let mut is_part = vec![false; cells.count()];
         views.iter().flat_map(|view| &view.rows).flat_map(ListedRow::hits).for_each(|hit| {
             is_part[hit.part as usize] = true;
         });
-        let beside: Vec<usize> = (0..cells.len()).into_par_iter().filter(|&i| !is_part[i]).collect();
-        let in_no_image = |i: &usize| {
-            let x = cells.center(*i).as_dvec3();
-            self.cameras.iter().all(|camera| camera.project_inside(x).is_none())
-        };
-        let beside: Vec<usize> = beside.into_par_iter().filter(in_no_image).collect();
-        for (cell, density) in beside.iter().zip(densities(field, &beside, cells)) {
-            is_part[*cell] = f64::from(density) * cells.edge(*cell) >= LEAST_MATTER;
+        let others: Vec<usize> = (0..cells.count()).filter(|&i| !is_part[i]).collect();
+        let is_in_image = |x: Vec3| self.cameras.iter().any(|camera| camera.project_inside(x.as_dvec3()).is_some());
+        let densities = densities(field, &others, cells);
+        let mut is_thin = vec![false; cells.count()];
+        for (&cell, density) in others.iter().zip(densities) {
+            is_thin[cell] = f64::from(density) * cells.edge(cell) < LEAST_MATTER;
         }
-        let parts: Vec<usize> = (0..cells.len()).filter(|&i| is_part[i]).collect();
-        let mut number = vec![0; cells.len()];
+        // Matter that no camera has in its image.
+        let unseen = others.into_par_iter().filter(|&cell| !is_thin[cell] && !is_in_image(cells.center(cell)));
+        let unseen: Vec<usize> = unseen.collect();
+        unseen.iter().for_each(|&cell| is_part[cell] = true);
+        let parts: Vec<usize> = (0..cells.count()).filter(|&i| is_part[i]).collect();
+        let mut number = vec![0; cells.count()];
         parts.iter().enumerate().for_each(|(i, &cell)| number[cell] = i as u32);
         let rows = views.par_iter_mut().flat_map(|view| &mut view.rows);
         rows.for_each(|row| row.hits_mut().iter_mut().for_each(|hit| hit.part = number[hit.part as usize]));
@@ -169,12 +159,11 @@ impl Clean<'_> {
         let centers: Vec<Vec3> = parts.iter().map(|&cell| cells.center(cell)).collect();
         let reach: Vec<f32> = parts.iter().map(|&cell| (self.rule.of_cells.reach * cells.edge(cell)) as f32).collect();
         // What is inside of objects is hidden as well: only what is in no image at all goes unseen.
-        let is_in_image = |x: &Vec3| self.cameras.iter().any(|camera| camera.project_inside(x.as_dvec3()).is_some());
-        let may_be_shown = centers.par_iter().map(is_in_image).collect();
+        let may_be_shown = parts.iter().map(|cell| unseen.binary_search(cell).is_err()).collect();
         let parts_at = Parts { centers: &centers, reach: &reach, by_window: true };
         let clean = Self { rule: Rule { on: self.rule.of_cells.on, ..self.rule }, ..*self };
         let cleaned = clean.decide(&Listing { views, parts: parts_at, opacities: Vec::new(), may_be_shown })?;
-        Ok(CleanedVolume { cells, parts, cleaned })
+        Ok(CleanedVolume { cells, parts, cleaned, is_thin })
     }
 }
 
@@ -203,6 +192,10 @@ fn list_cells(
         move |points: &[[f64; 2]], listed: &mut ListedPoints| {
             let found = renderer.weighted(&[(camera, points.to_vec())], clean.monitor)?;
             for (ray, &[x, y]) in points.iter().enumerate() {
+                if found.is_dropped[ray] {
+                    listed.push_unknown();
+                    continue;
+                }
                 let ray_of = camera.ray(x, y);
                 // Depths are along the view axis.
                 let slant = camera.project(ray_of.at(1.0)).map_or(1.0, |(_, depth)| depth);

@@ -39,7 +39,7 @@ fn cameras() -> Vec<Camera> {
 }
 
 fn cleaned(model: &dyn Model, cameras: &[Camera]) -> CleanedVolume {
-    let cells = Cells::new(model.natural_domain(), 32).unwrap();
+    let cells = Cells::new(model.natural_domain(), [32; 3]).unwrap();
     Clean::new(cameras).volume(model, cells).unwrap()
 }
 
@@ -66,7 +66,7 @@ fn fog_in_the_air_and_what_no_camera_has_in_its_image_go() {
         }
     }
     // All of the fog but for its rim.
-    let fog = (0..found.cells.len()).filter(|&i| found.cells.center(i).distance(FOG.0) < FOG.1 - 0.06);
+    let fog = (0..found.cells.count()).filter(|&i| found.cells.center(i).distance(FOG.0) < FOG.1 - 0.06);
     assert!(fog.clone().count() > 10 && fog.clone().all(|i| removed[i].is_some()));
     // The inside of the wall is hidden, not unseen.
     assert_eq!(at(Vec3::new(0.9, 0.0, 0.0)), None);
@@ -90,7 +90,7 @@ fn strengths_are_nested_and_threads_do_not_matter() {
 
 #[test]
 fn a_ray_meets_its_light_cell_by_cell() {
-    let cells = Cells::new(Domain::Box(Aabb::centered_cube(1.0)), 4).unwrap();
+    let cells = Cells::new(Domain::Box(Aabb::centered_cube(1.0)), [4; 3]).unwrap();
     let at = |x: f32| Vec3::new(x, 0.1, 0.1);
     // Two samples in a cell, one outside the box, one without weight, a second cell, and back in the first.
     let samples =
@@ -112,8 +112,8 @@ fn cells_divide_a_space() {
     let box_of = Domain::Box(Aabb::new(DVec3::new(-1.0, 0.0, 0.0), DVec3::new(1.0, 2.0, 6.0)).unwrap());
     let contracted = Domain::contracted(DVec3::splat(0.5), 2.0, Norm::Linf).unwrap();
     for (domain, edge) in [(box_of, (44.0_f64 / 75.0).sqrt()), (contracted, 8.0 / 5.0)] {
-        let cells = Cells::new(domain, 5).unwrap();
-        assert_eq!((cells.len(), cells.per_edge(), cells.is_empty()), (125, 5, false));
+        let cells = Cells::new(domain, [5; 3]).unwrap();
+        assert_eq!(cells.count(), 125);
         for cell in [0, 62, 124] {
             assert_eq!(cells.around(cells.center(cell)), Some(cell), "{domain:?}");
         }
@@ -122,13 +122,17 @@ fn cells_divide_a_space() {
         assert_eq!([0, 62, 124].map(|cell| cells.beside(cell).count()), [8, 27, 8]);
         assert_eq!(cells.beside(124).min(), Some(93));
     }
-    assert!(Cells::new(box_of, 0).is_err() && Cells::new(box_of, 1025).is_err());
-    assert_eq!(Cells::new(box_of, 5).unwrap().around(Vec3::splat(7.0)), None);
+    // With other numbers along the axes, x is fastest.
+    let cells = Cells::new(box_of, [2, 3, 4]).unwrap();
+    assert_eq!([Vec3::new(-0.9, 0.1, 0.1), Vec3::new(0.9, 0.1, 5.9)].map(|x| cells.around(x)), [Some(0), Some(19)]);
+    assert!((0..24).all(|cell| cells.around(cells.center(cell)) == Some(cell)));
+    assert!(Cells::new(box_of, [4, 0, 4]).is_err() && Cells::new(box_of, [1025, 1, 1]).is_err());
+    assert_eq!(Cells::new(box_of, [5; 3]).unwrap().around(Vec3::splat(7.0)), None);
 }
 
 #[test]
 fn what_cannot_be_cleaned_is_refused() {
-    let cells = Cells::new(Domain::Box(Room.bounds()), 8).unwrap();
+    let cells = Cells::new(Domain::Box(Room.bounds()), [8; 3]).unwrap();
     let refused = |cameras: &[Camera]| Clean::new(cameras).volume(&Room, cells).unwrap_err().to_string();
     assert!(refused(&[]).contains("cameras: expected at least one"), "{}", refused(&[]));
     // From outside, away from everything.

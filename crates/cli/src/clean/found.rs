@@ -30,6 +30,9 @@ pub trait Found {
     /// The parts and what goes of them.
     fn cleaned(&self) -> &Cleaned;
 
+    /// The number of part `i` in its file, or of its cell in the grid, x fastest.
+    fn number(&self, i: usize) -> usize;
+
     /// Where part `i` is, scene units.
     fn center(&self, i: usize) -> Vec3;
 
@@ -70,20 +73,43 @@ pub fn counts(found: &dyn Found, strength: Strength) -> Value {
     })
 }
 
+/// The strengths that leave something.
+pub fn possible(found: &dyn Found) -> Vec<Strength> {
+    let leaves = |strength: &Strength| found.cleaned().removed(*strength).contains(&None);
+    Strength::ALL.into_iter().filter(leaves).collect()
+}
+
+/// Refuses a strength that leaves nothing.
+pub fn check_strength(found: &dyn Found, strength: Strength) -> Result<()> {
+    if possible(found).contains(&strength) {
+        return Ok(());
+    }
+    let (parts, n) = (found.parts(), found.cleaned().removals.len());
+    let was = format!("{strength}, at which all {n} {parts} go");
+    Err(Error::setting("--strength", format!("one that leaves some {parts}"), was))
+}
+
+/// How many parts go at a strength, and how many of them for which reason.
+pub fn lines(found: &dyn Found, strength: Strength) -> Vec<String> {
+    let (cleaned, parts) = (found.cleaned(), found.parts());
+    let (n, counts) = (cleaned.removals.len(), cleaned.counts(strength));
+    let share = |count: usize| 100.0 * count as f64 / n as f64;
+    let gone: usize = counts.iter().sum();
+    let all = format!("removed {gone} of {n} {parts} ({:.2} %), {strength}:", share(gone));
+    let each = Reason::ALL.iter().zip(counts).filter(|(_, count)| *count > 0);
+    let each = each.map(|(reason, count)| format!("{count:>9} {} ({:.2} %)", reason.sentence(), share(count)));
+    std::iter::once(all).chain(each).collect()
+}
+
 /// Tells people what goes.
 pub fn announce_counts(found: &dyn Found, strength: Strength) {
-    let (cleaned, parts) = (found.cleaned(), found.parts());
-    let n = cleaned.removals.len();
-    let counts = cleaned.counts(strength);
-    let gone: usize = counts.iter().sum();
-    let share = |count: usize| 100.0 * count as f64 / n as f64;
-    announce!("removed {gone} of {n} {parts} ({:.2} %), {strength}:", share(gone));
-    for (reason, count) in Reason::ALL.iter().zip(counts).filter(|(_, count)| *count > 0) {
-        announce!("{count:>9} {} ({:.2} %)", reason.sentence(), share(count));
-    }
+    lines(found, strength).iter().for_each(|line| announce!("{line}"));
+    let cleaned = found.cleaned();
+    let share = |strength: Strength| {
+        100.0 * cleaned.counts(strength).iter().sum::<usize>() as f64 / cleaned.removals.len() as f64
+    };
     let others = Strength::ALL.into_iter().filter(|other| *other != strength);
-    let others: Vec<String> =
-        others.map(|strength| format!("{strength} {:.2} %", share(cleaned.counts(strength).iter().sum()))).collect();
+    let others: Vec<String> = others.map(|strength| format!("{strength} {:.2} %", share(strength))).collect();
     announce!("other values of --strength: {}", others.join(", "));
 }
 
@@ -99,7 +125,7 @@ pub fn write_report(path: &Path, found: &dyn Found) -> Result<()> {
         let [x, y, z] = found.center(i).to_array().map(|v| v.to_string());
         let (reason, strength) = removal.map_or(("kept", ""), |r| (r.reason.name(), r.strength.name()));
         let row = [
-            i.to_string(),
+            found.number(i).to_string(),
             x,
             y,
             z,

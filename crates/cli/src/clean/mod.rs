@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use glam::Vec3;
 use serde_json::json;
 
-use self::found::{Found, announce_counts, counts, write_report};
+use self::found::{Found, announce_counts, check_strength, counts, write_report};
 use self::picture::Pictures;
 use self::splats::FoundSplats;
 use self::volume::{FoundVolume, Kind};
@@ -81,7 +81,7 @@ pub struct Args {
     #[arg(short, long, value_name = "OUTPUT", help_heading = heading::OUTPUT)]
     output: PathBuf,
 
-    /// Points of an `.npz` along the longest edge, if the model is no voxel grid; each takes 16 bytes
+    /// Points along the longest edge of an `.npz`, of a volume that is no voxel grid; each takes 16 bytes
     #[arg(
         long,
         value_name = "N",
@@ -97,7 +97,7 @@ pub struct Args {
     #[arg(long, value_name = "REMOVED.ply", help_heading = heading::OUTPUT)]
     removed: Option<PathBuf>,
 
-    /// Write a row for every splat, or cell with matter: its place, why and at which strength it goes, what views show of it
+    /// Write a row for every splat, or cell that pixels show or no image has: its place, why and at which strength it goes, what views show of it
     #[arg(long, value_name = "REPORT.csv", help_heading = heading::OUTPUT)]
     report: Option<PathBuf>,
 
@@ -159,6 +159,7 @@ impl Args {
         match (splats, kind) {
             (Some(splats), _) => {
                 let found = FoundSplats { splats, cleaned: clean.splats(splats)? };
+                check_strength(&found, self.strength)?;
                 found.write(self.strength, &self.output, &removed)?;
                 self.show(&found, &views, bars)?;
                 self.print(&found, Some(&removed))
@@ -169,7 +170,8 @@ impl Args {
                 let found = clean.volume(model, kind.cells(model)?)?;
                 let eyes = views.cameras.iter().map(|camera| camera.position.as_vec3()).collect();
                 let found = FoundVolume { model, field, kind, found, eyes };
-                found.write(self.strength, &self.output)?;
+                check_strength(&found, self.strength)?;
+                found.write(self.strength, &self.output, bars)?;
                 self.show(&found, &views, bars)?;
                 self.print(&found, None)
             }
@@ -183,7 +185,11 @@ impl Args {
                 let expected = "Gaussian splats; the file of a volume stays as it is";
                 return Err(Error::setting("--removed", expected, format!("{} of {}", path.display(), model.name)));
             }
-            return Kind::new(model, &self.output, self.points as usize).map(Some);
+            let kind = Kind::new(model, &self.output, self.points as usize)?;
+            if let Some(lost) = kind.loses(&*model.model) {
+                tell(Message::Warning(format!("{} has no place for {lost}", self.output.display())));
+            }
+            return Ok(Some(kind));
         };
         for lost in splats.not_kept(&self.output)? {
             tell(Message::Warning(format!("{} has no place for {lost}", self.output.display())));

@@ -7,7 +7,7 @@ use octobayes::estimate::Model;
 use octobayes_clean::{Reason, Strength};
 use octobayes_show::comparison::{ComparedView, Comparison, Step};
 
-use super::found::{Found, TINTS};
+use super::found::{TINTS, lines, possible};
 use super::picture::Pictures;
 
 /// Views of a page.
@@ -16,9 +16,11 @@ const VIEWS: usize = 4;
 /// Writes the page, on which `strength` is shown first.
 pub fn write(path: &Path, pictures: &Pictures, strength: Strength, title: &str) -> Result<()> {
     let Pictures { found, monitor, .. } = pictures;
-    let cameras = pictures.cameras(Strength::Strong, VIEWS)?;
-    let left = Strength::ALL.map(|strength| found.left(strength)).into_iter().collect::<Result<Vec<_>>>()?;
-    let marked = Strength::ALL.map(|strength| found.marked(strength));
+    let strengths = possible(*found);
+    let strongest = *strengths.last().expect("the one that was chosen");
+    let cameras = pictures.cameras(strongest, VIEWS)?;
+    let left = strengths.iter().map(|strength| found.left(*strength)).collect::<Result<Vec<_>>>()?;
+    let marked: Vec<_> = strengths.iter().map(|strength| found.marked(*strength)).collect();
     // Before; then what goes and what is left of every strength.
     let steps = marked.iter().zip(&left).flat_map(|(marked, left)| [&**marked, &**left]);
     let models: Vec<&dyn Model> = std::iter::once(found.before()).chain(steps).collect();
@@ -43,25 +45,15 @@ pub fn write(path: &Path, pictures: &Pictures, strength: Strength, title: &str) 
         let [r, g, b] = tint.to_array().map(|v| (255.0 * v).round());
         format!("rgb({r}, {g}, {b})")
     };
-    let counts = found.cleaned().counts(Strength::Strong);
+    let counts = found.cleaned().counts(strongest);
     let shown = Reason::ALL.iter().zip(TINTS).filter(|(reason, _)| counts[**reason as usize] > 0);
+    let step = |strength: &Strength| Step { name: strength.name().to_string(), lines: lines(*found, *strength) };
     let page = Comparison {
         title,
-        steps: Strength::ALL.iter().map(|strength| step(*found, *strength)).collect(),
-        first: strength as usize,
+        steps: strengths.iter().map(step).collect(),
+        first: strengths.iter().position(|shown| *shown == strength).unwrap_or(0),
         legend: shown.map(|(reason, (_, tint))| [css(tint), reason.name().to_string()]).collect(),
         views: (0..cameras.len()).map(view).collect(),
     };
     page.write(path)
-}
-
-fn step(found: &dyn Found, strength: Strength) -> Step {
-    let (cleaned, parts) = (found.cleaned(), found.parts());
-    let (n, counts) = (cleaned.removals.len(), cleaned.counts(strength));
-    let share = |count: usize| 100.0 * count as f64 / n as f64;
-    let gone: usize = counts.iter().sum();
-    let each = Reason::ALL.iter().zip(counts).filter(|(_, count)| *count > 0);
-    let each = each.map(|(reason, count)| format!("{count} {} ({:.2} %)", reason.sentence(), share(count)));
-    let all = format!("{gone} of {n} {parts} go ({:.2} %)", share(gone));
-    Step { name: strength.name().to_string(), lines: std::iter::once(all).chain(each).collect() }
 }

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
+use octobayes::Result;
 use octobayes::estimate::Model;
-use octobayes::{Error, Result};
 use octobayes_clean::{Cleaned, Reason, Strength};
 use octobayes_splats::Splats;
 
@@ -23,6 +23,10 @@ impl Found for FoundSplats<'_> {
 
     fn cleaned(&self) -> &Cleaned {
         &self.cleaned
+    }
+
+    fn number(&self, i: usize) -> usize {
+        i
     }
 
     fn center(&self, i: usize) -> Vec3 {
@@ -58,13 +62,8 @@ impl FoundSplats<'_> {
 
     /// Writes what goes to `removed`, if anything does, and what stays to `output`.
     pub fn write(&self, strength: Strength, output: &Path, removed: &Path) -> Result<()> {
-        let goes = self.chosen(strength, true);
-        if !goes.contains(&false) {
-            let found = format!("{strength}, at which all {} splats go", goes.len());
-            return Err(Error::setting("--strength", "one that leaves some splats", found));
-        }
         // What was removed first: nothing is lost if the disk is full.
-        if goes.contains(&true) {
+        if self.chosen(strength, true).contains(&true) {
             self.write_columns(removed, strength, true)?;
         }
         if Splats::takes_columns(output) {

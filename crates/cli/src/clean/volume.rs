@@ -6,6 +6,7 @@ use glam::Vec3;
 use octobayes::estimate::Model;
 use octobayes::field::{Radiance, RadianceField, TrainedField, VoxelGrid};
 use octobayes::geometry::{Aabb, Domain};
+use octobayes::monitor::Monitor;
 use octobayes::{Error, Result};
 use octobayes_clean::{Cells, Cleaned, CleanedVolume, Reason, Strength};
 use octobayes_models::{HashGrid, read_voxel_grid, write_voxel_grid};
@@ -13,17 +14,17 @@ use octobayes_session::OpenedModel;
 
 use super::found::{Found, TINTS, grey};
 
-/// Cells along an edge, if the model does not have its own.
-const CELLS: u32 = 128;
+/// Most cells along the longest edge, if the model does not have its own.
+const CELLS: f64 = 128.0;
 
-/// What is written of a volume.
+/// What is written of a volume. It is read again as what it is: an open model is any volume.
 pub enum Kind {
     /// The model with fewer occupied cells.
     HashGrid(Box<HashGrid>),
     /// The model without the density of some points.
     Voxels(VoxelGrid),
-    /// The model at points of a grid: so many along the longest edge.
-    Baked(usize),
+    /// The model at points of a grid of so many along x, y and z.
+    Baked([usize; 3]),
 }
 
 impl Kind {
@@ -40,18 +41,38 @@ impl Kind {
         if is_named(output, "npz") {
             let is_scene = model.name.starts_with("scene:");
             let has_points = !is_scene && is_named(name, "npz");
-            return if has_points { read_voxel_grid(name).map(Self::Voxels) } else { Ok(Self::Baked(points)) };
+            if has_points {
+                return read_voxel_grid(name).map(Self::Voxels);
+            }
+            let size = model.model.whole_box().size();
+            let along = |edge: f64| ((edge / size.max_element() * points as f64).round() as usize).max(2);
+            return Ok(Self::Baked(size.to_array().map(along)));
         }
         let expected = "`.npz`, a voxel grid of any volume, or `.safetensors` of a hash grid of `train`";
         Err(Error::setting("--output", expected, format!("{} of {}", output.display(), model.name)))
     }
 
-    /// The cells that may go.
+    /// The cells that may go. Of a voxel grid, each has a point of it at least: a finer cell would change nothing.
     pub fn cells(&self, model: &dyn Model) -> Result<Cells> {
-        match self {
-            Self::HashGrid(grid) => Cells::new(*grid.domain(), grid.finest_occupancy() as u32),
-            Self::Voxels(_) | Self::Baked(_) => Cells::new(Domain::Box(model.whole_box()), CELLS),
-        }
+        let points = match self {
+            Self::HashGrid(grid) => return Cells::new(*grid.domain(), [grid.finest_occupancy() as u32; 3]),
+            Self::Voxels(grid) => grid.shape(),
+            Self::Baked(shape) => *shape,
+        };
+        let domain = model.natural_domain();
+        let size = domain.size();
+        let cells = |k: usize| (size[k] / size.max_element() * CELLS).round().clamp(1.0, points[k] as f64) as u32;
+        Cells::new(domain, [0, 1, 2].map(cells))
+    }
+
+    /// What a file of this kind loses of the model, beside what goes.
+    pub fn loses(&self, model: &dyn Model) -> Option<String> {
+        let Self::Baked([x, y, z]) = self else { return None };
+        let far = match model.natural_domain() {
+            Domain::Box(_) => "",
+            Domain::Contracted { .. } => ", which are as far apart in the middle as far away",
+        };
+        Some(format!("colours that depend on the direction, and what is between its {x} x {y} x {z} points{far}"))
     }
 }
 
@@ -72,6 +93,10 @@ impl Found for FoundVolume<'_> {
 
     fn cleaned(&self) -> &Cleaned {
         &self.found.cleaned
+    }
+
+    fn number(&self, i: usize) -> usize {
+        self.found.parts[i]
     }
 
     fn center(&self, i: usize) -> Vec3 {
@@ -111,15 +136,13 @@ impl FoundVolume<'_> {
     }
 
     /// Writes what stays.
-    pub fn write(&self, strength: Strength, output: &Path) -> Result<()> {
+    pub fn write(&self, strength: Strength, output: &Path, monitor: &dyn Monitor) -> Result<()> {
         let removed = self.is_removed(strength);
         match &self.kind {
             Kind::HashGrid(grid) => grid.without(&removed).write(output),
             Kind::Voxels(grid) => write_voxel_grid(&grid.clone().without(self.is_in(&removed)), output),
-            Kind::Baked(points) => {
-                let size = self.field.bounds().size();
-                let along = |edge: f64| ((edge / size.max_element() * *points as f64).round() as usize).max(2);
-                let grid = VoxelGrid::bake_from(self.field, size.to_array().map(along), &self.eyes);
+            Kind::Baked(shape) => {
+                let grid = VoxelGrid::bake_from(self.field, *shape, &self.eyes, monitor)?;
                 write_voxel_grid(&grid.without(self.is_in(&removed)), output)
             }
         }

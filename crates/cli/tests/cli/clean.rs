@@ -178,15 +178,13 @@ fn a_voxel_grid_keeps_all_but_its_fog() {
     assert_eq!((before.shape(), before.bounds()), (after.shape(), after.bounds()));
     let (mut gone, grid) = (0, &after);
     for (i, (before, after)) in before.values().iter().zip(after.values()).enumerate() {
-        // A cell that goes may reach half a grid's step beyond the fog: nothing is there.
         let x = grid.point(i);
         let goes = is_fog(x) && after[3] == 0.0;
         gone += usize::from(goes);
         assert!(goes || before == after, "{x}: {before:?}, {after:?}");
     }
     let fog = (0..before.values().len()).filter(|&i| is_fog(before.point(i))).count();
-    // Half of the points are at its rim, where cells are hardly dense.
-    assert!(3 * gone >= 2 * fog, "{gone} of {fog} points of the fog");
+    assert!(10 * gone >= 9 * fog, "{gone} of {fog} points of the fog");
     // A row for every cell with matter, in scene units.
     let report = std::fs::read_to_string(desk.join("clean.csv")).unwrap();
     let rows: Vec<Vec<&str>> = report.lines().map(|line| line.split(',').collect()).collect();
@@ -197,8 +195,8 @@ fn a_voxel_grid_keeps_all_but_its_fog() {
     for row in floating {
         let x = Vec3::from_array([1, 2, 3].map(|k| number(row, k) as f32));
         all += number(row, 8);
-        // Half the diagonal of a cell, and that of a voxel, through which the fog's edge falls.
-        let reach = 0.16 + 3_f32.sqrt() * (0.5 * 3.0 / 128.0 + 3.0 / 47.0);
+        // Half the diagonal of a cell, of which each has a point, and that of a voxel, through which the fog's edge falls.
+        let reach = 0.16 + 3_f32.sqrt() * (0.5 * 3.0 / 48.0 + 3.0 / 47.0);
         of_fog += if x.distance(FOG) < reach { number(row, 8) } else { 0.0 };
     }
     // The rest is at the rim of the ball, where single pixels are looked at.
@@ -222,6 +220,8 @@ fn other_volumes_become_voxel_grids() {
     assert_eq!(desk.good(&format!("{run} -o ball.npz")), "ball.npz\n");
     let ball = read_voxel_grid(&desk.join("ball.npz")).unwrap();
     assert_eq!(ball.shape(), [24; 3]);
+    let said = desk.said(&format!("{run} -o again.npz"));
+    assert!(said.contains("warning: again.npz has no place for colours that depend on the direction"), "{said}");
     let dense = ball.values().iter().filter(|value| value[3] > 1.0).count();
     assert!(dense > 200, "{dense} points of the ball");
 }

@@ -227,8 +227,10 @@ impl HashGrid {
         self.config.occupancy * (config::MAX_OCCUPANCY / self.config.occupancy)
     }
 
-    /// What is left without some cells of the [finest occupancy grid](Self::finest_occupancy), `[n³]`, x fastest. The
-    /// window falls to 0 over the cells beside those that stay: half as far as before, if the grid has twice the cells.
+    /// What is left without some cells of the [finest occupancy grid](Self::finest_occupancy), `[n³]`, x fastest.
+    ///
+    /// The window falls to 0 over the cells beside those that stay: half as far as before, if the grid has twice the
+    /// cells. So a layer of one cell between cells that stay stays, too.
     ///
     /// # Panics
     /// If `removed` is of another size.
@@ -236,6 +238,9 @@ impl HashGrid {
     pub fn without(&self, removed: &[bool]) -> Self {
         let (n, coarse) = (self.finest_occupancy(), self.config.occupancy);
         assert_eq!(removed.len(), n.pow(3), "a value for every cell of {n} x {n} x {n}");
+        if !removed.contains(&true) {
+            return self.clone();
+        }
         let parent = |cell: usize| {
             let [x, y, z] = [cell % n, cell / n % n, cell / (n * n)].map(|i| i / (n / coarse));
             (z * coarse + y) * coarse + x

@@ -329,6 +329,12 @@ fn removed_cells_are_empty_and_the_others_stay() {
             }
         }
         assert!(counts.iter().all(|count| *count > 100), "{counts:?}");
+        // Nothing changes without a removal. A single cell lies between others, and the window does not fall there.
+        let none = vec![false; n.pow(3)];
+        assert_eq!(densities(&whole.without(&none)), densities(&whole));
+        let full = field_with(1.0, domain, &mut rng);
+        let one: Vec<bool> = (0..n.pow(3)).map(|cell| cell == n.pow(3) / 2 + n * n / 2 + n / 2).collect();
+        assert_eq!(densities(&full.without(&one)), densities(&full));
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("left.safetensors");
         left.write(&path).unwrap();

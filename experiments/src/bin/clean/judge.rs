@@ -1,22 +1,17 @@
 //! What a removal takes, and what it does to held-out images.
 
 use glam::{DVec3, Vec3};
+use octobayes::Result;
+use octobayes::estimate::{Model, RaySettings};
 use octobayes::geometry::Camera;
-use octobayes::render::Outputs;
-use octobayes_splats::{Hits, SplatRenderer, SplatView, Splats};
-use rayon::prelude::*;
+use octobayes::monitor::Silent;
 use serde::{Deserialize, Serialize};
 
 use common::recall::recall_at;
 use common::surface::Place;
 
-/// A model beside what is known of its scene.
-pub struct Judged {
-    pub splats: Splats,
-    /// Those of its training.
-    pub cameras: Vec<Camera>,
-    /// Where each splat is.
-    pub places: Vec<Place>,
+/// What is known of a scene.
+pub struct Truth {
     pub held_out: Vec<TrueView>,
     /// What is nearer than the true surface by more than this is in front of it, scene units.
     pub slack: f64,
@@ -38,25 +33,33 @@ pub struct TrueView {
 /// How a removal does.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub struct Figures {
-    /// Share of all splats that go.
+    /// Share of all parts that go.
     pub share: f64,
-    /// Of those that are judged and go, the share in the air; NaN if none goes.
+    /// Of those that are judged and go, the share in the air; `None` if none goes.
     pub precision: Option<f64>,
     /// Of those in the air, the share that goes.
     pub recall: f64,
 }
 
 impl Figures {
+    /// Of parts that count alike.
     pub fn new(removed: &[bool], places: &[Place]) -> Self {
-        let count = |is: &dyn Fn(Place, bool) -> bool| {
-            let judged = places.iter().zip(removed).filter(|(place, _)| **place != Place::Elsewhere);
-            judged.filter(|(place, gone)| is(**place, **gone)).count() as f64
+        Self::weighted(removed, places, &vec![1.0; places.len()])
+    }
+
+    /// Of parts that count as much as their weights.
+    pub fn weighted(removed: &[bool], places: &[Place], weights: &[f64]) -> Self {
+        let sum = |is: &dyn Fn(Place, bool) -> bool| -> f64 {
+            let all = places.iter().zip(removed).zip(weights);
+            all.filter(|((place, gone), _)| is(**place, **gone)).fold(0.0, |sum, (_, weight)| sum + weight)
         };
-        let (hits, all) = (count(&|place, gone| gone && place == Place::Air), count(&|_, gone| gone));
+        let is_judged = |place: Place| place != Place::Elsewhere;
+        let hits = sum(&|place, gone| gone && place == Place::Air);
+        let (all, in_air) = (sum(&|place, gone| gone && is_judged(place)), sum(&|place, _| place == Place::Air));
         Self {
-            share: removed.iter().filter(|gone| **gone).count() as f64 / removed.len() as f64,
+            share: sum(&|_, gone| gone) / weights.iter().sum::<f64>(),
             precision: (all > 0.0).then(|| hits / all),
-            recall: hits / count(&|place, _| place == Place::Air).max(1.0),
+            recall: if in_air > 0.0 { hits / in_air } else { 0.0 },
         }
     }
 }
@@ -68,7 +71,7 @@ pub fn air_at(precision: f64, score: &[f64], places: &[Place]) -> f64 {
     recall_at(precision, &score, &is_air)
 }
 
-/// Held-out images of splats beside the truth.
+/// Held-out images of a model beside the truth.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub struct Images {
     /// dB, of all pixels together.
@@ -82,61 +85,37 @@ pub struct Images {
 }
 
 impl Images {
-    pub fn of(splats: &Splats, judged: &Judged) -> Self {
-        let renderer = SplatRenderer::new(splats, Vec3::ONE);
+    pub fn of(model: &dyn Model, truth: &Truth) -> Result<Self> {
+        let renderer = model.for_images(&RaySettings::for_images().background(Vec3::ONE), None, &Silent)?;
         let mut sums = [0.0; 7];
-        for truth in &judged.held_out {
-            let view = renderer.prepare(&truth.camera, Outputs::Colors);
-            let mut colors = vec![DVec3::ZERO; splats.len()];
-            view.colors().for_each(|(splat, color)| colors[splat] = color);
-            let [width, height] = truth.camera.resolution;
-            let of_row = |y: u32| {
-                let mut sums = [0.0; 7];
-                for x in 0..width {
-                    let of_pixel = pixel(judged, truth, &view, &colors, [x, y]);
-                    sums.iter_mut().zip(of_pixel).for_each(|(sum, value)| *sum += value);
+        for view in &truth.held_out {
+            let [width, height] = view.camera.resolution;
+            let image = renderer.image(&view.camera, 0.5, &[], &[], &Silent)?;
+            let at = |i: u32| [i % width, i / width].map(|v| f64::from(v) + 0.5);
+            let samples = renderer.weighted(&[(view.camera, (0..width * height).map(at).collect())], &Silent)?;
+            for (i, pixel) in image.pixels.iter().enumerate() {
+                let distance = view.distances[i];
+                let nearer = samples.samples(i).filter(|&k| samples.t[k] < distance - truth.slack);
+                let floating: f64 = nearer.map(|k| samples.weights[k]).sum();
+                let error = (pixel.color.min(DVec3::ONE) - view.colors[i]).length_squared() / 3.0;
+                let mut of_pixel = [error, floating, 1.0, 0.0, 0.0, 0.0, 0.0];
+                if view.is_object[i] {
+                    (of_pixel[3], of_pixel[4]) = (pixel.opacity, 1.0);
+                    if pixel.opacity >= 0.5 {
+                        (of_pixel[5], of_pixel[6]) = ((pixel.median_depth - distance).abs() / truth.length, 1.0);
+                    }
                 }
-                sums
-            };
-            for row in (0..height).into_par_iter().map(of_row).collect::<Vec<_>>() {
-                sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
+                sums.iter_mut().zip(of_pixel).for_each(|(sum, value)| *sum += value);
             }
         }
         let [error, floating, pixels, light, of_object, depth, solid] = sums;
-        Self {
+        Ok(Self {
             psnr: -10.0 * (error / pixels).log10(),
             floating: floating / pixels,
             coverage: light / of_object,
             depth: depth / solid,
-        }
+        })
     }
-}
-
-/// Squared error of the colour, light in front of the surface, 1; where the object is, light, 1; and where half of it
-/// or more is reached, error of the distance in the object's lengths, 1.
-fn pixel(judged: &Judged, truth: &TrueView, view: &SplatView, colors: &[DVec3], [x, y]: [u32; 2]) -> [f64; 7] {
-    let at = [x, y].map(|i| f64::from(i) + 0.5);
-    let mut hits = Hits::default();
-    view.hits(at, &mut hits);
-    let ray = truth.camera.ray(at[0], at[1]);
-    let i = (y * truth.camera.resolution[0] + x) as usize;
-    let distance = truth.distances[i];
-    // Depths of splats are along the view axis.
-    let slant = truth.camera.project(ray.origin + ray.direction).map_or(1.0, |(_, depth)| depth);
-    let mut color = DVec3::splat(hits.passed);
-    let mut floating = 0.0;
-    for hit in &hits.list {
-        color += hit.weight() * colors[view.splat(hit)];
-        floating += if view.depth(hit) / slant < distance - judged.slack { hit.weight() } else { 0.0 };
-    }
-    let error = (color.min(DVec3::ONE) - truth.colors[i]).length_squared() / 3.0;
-    if !truth.is_object[i] {
-        return [error, floating, 1.0, 0.0, 0.0, 0.0, 0.0];
-    }
-    let light = 1.0 - hits.passed;
-    let [depth, is_solid] =
-        if light < 0.5 { [0.0; 2] } else { [(view.half_depth(&hits) / slant - distance).abs() / judged.length, 1.0] };
-    [error, floating, 1.0, light, 1.0, depth, is_solid]
 }
 
 #[cfg(test)]
@@ -150,6 +129,8 @@ mod tests {
         let found = Figures::new(&[true, false, false, true, true], &places);
         assert_eq!((found.share, found.precision, found.recall), (0.6, Some(0.5), 0.5));
         assert_eq!(Figures::new(&[false; 5], &places).precision, None);
+        let found = Figures::weighted(&[true, false, true, true, false], &places, &[3.0, 1.0, 2.0, 4.0, 0.0]);
+        assert_eq!((found.share, found.precision, found.recall), (0.9, Some(0.6), 0.75));
         // The one elsewhere has the largest score and does not count; equal scores are marked together.
         assert_eq!(air_at(0.9, &[3.0, 1.0, 1.0, 9.0, 0.0], &places), 0.5);
         assert_eq!(air_at(0.6, &[3.0, 1.0, 1.0, 9.0, 0.0], &places), 1.0);

@@ -10,7 +10,8 @@ use octobayes_splats::Splats;
 use common::program::Program;
 use common::surface::Place;
 
-use crate::judge::{Judged, TrueView};
+use crate::judge::{TrueView, Truth};
+use crate::methods::Judged;
 
 /// A splat is in the air if it is nearer than the surfaces around its pixel by more than this: the true depths have
 /// steps of 0.03. Scene units.
@@ -63,7 +64,7 @@ pub fn judged(model: &str) -> Result<Judged> {
     let is_free = |x: DVec3| views.iter().any(|view| shows_empty(view, x));
     let place = |x: &glam::Vec3| if is_free(x.as_dvec3()) { Place::Air } else { Place::Surface };
     let places = splats.means().iter().map(place).collect();
-    Ok(Judged { splats, cameras, places, held_out: views, slack: SLACK, length: LENGTH })
+    Ok(Judged { splats, cameras, places, truth: Truth { held_out: views, slack: SLACK, length: LENGTH } })
 }
 
 /// Pixels of red, green, blue and alpha.

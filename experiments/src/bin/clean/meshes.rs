@@ -8,14 +8,14 @@ use common::meshes::MESHES;
 use common::table::{Table, mean};
 use common::work::Work;
 
-use crate::judge::{Figures, Judged};
-use crate::methods::{Row, clean, floating, measure};
+use crate::judge::Figures;
+use crate::methods::{Judged, Row, clean, floating, measure};
 use crate::tables;
 use crate::trained::{self, HELD_OUT, SIDE, SLACK, STEPS, VIEWS};
 
 /// Meshes on which the rule's constants are fitted.
-const FITTED: usize = 2;
-const SEEDS: [u64; 3] = [0, 1, 2];
+pub const FITTED: usize = 2;
+pub const SEEDS: [u64; 3] = [0, 1, 2];
 
 pub fn settings() -> String {
     format!(

@@ -3,16 +3,19 @@
 use glam::DVec3;
 use octobayes::Result;
 use octobayes::estimate::{Estimation, GridSettings, Model, RaySettings};
+use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
 use octobayes::posterior::Covariance;
 use octobayes::rays::Pixels;
 use octobayes_clean::{Clean, Cleaned, Reason, Removal, Rule, Strength};
+use octobayes_splats::Splats;
 use serde::{Deserialize, Serialize};
 
 use common::clock::Clock;
 use common::isolation::isolation;
+use common::surface::Place;
 
-use crate::judge::{Figures, Images, Judged, air_at};
+use crate::judge::{Figures, Images, Truth, air_at};
 
 /// Share of floaters among those that a score marks, at which recalls are compared.
 pub const PRECISION: f64 = 0.95;
@@ -29,6 +32,16 @@ pub const SCORES: [&str; 6] =
     ["1 - opacity", "log volume", "distance of 8 neighbours", "U, block, level 6", "front share, first look", "clean"];
 /// Removals, in their order.
 pub const REMOVALS: [&str; 5] = ["nothing", "by opacity and size", "careful", "normal", "strong"];
+
+/// Splats beside what is known of their scene.
+pub struct Judged {
+    pub splats: Splats,
+    /// Those of their training.
+    pub cameras: Vec<Camera>,
+    /// Where each splat is.
+    pub places: Vec<Place>,
+    pub truth: Truth,
+}
 
 /// What is found of one model.
 #[derive(Clone, Serialize, Deserialize)]
@@ -48,7 +61,7 @@ pub struct Row {
 
 /// Cleans a model.
 pub fn clean(judged: &Judged, rule: Rule) -> Result<Cleaned> {
-    Clean::new(&judged.splats, &judged.cameras).rule(rule).run()
+    Clean::new(&judged.cameras).rule(rule).splats(&judged.splats)
 }
 
 /// What goes as floating.
@@ -57,7 +70,7 @@ pub fn floating(cleaned: &Cleaned, strength: Strength) -> Vec<bool> {
 }
 
 /// One number for each splat: those that go earlier have a larger one.
-fn order(cleaned: &Cleaned) -> Vec<f64> {
+pub fn order(cleaned: &Cleaned) -> Vec<f64> {
     let of = |(removal, score): (&Option<Removal>, &f64)| match removal {
         Some(removal) if removal.reason == Reason::Floating => 10.0 * (100 - removal.look) as f64 + removal.score,
         _ => *score,
@@ -100,13 +113,13 @@ pub fn measure(judged: &Judged) -> Result<Row> {
         each(&|i| cleaned.evidence.front_share(i)),
         order(&cleaned),
     ];
-    let is_air = |place: &&common::surface::Place| **place == common::surface::Place::Air;
-    let counted = judged.places.iter().filter(|place| **place != common::surface::Place::Elsewhere).count();
+    let is_air = |place: &&Place| **place == Place::Air;
+    let counted = judged.places.iter().filter(|place| **place != Place::Elsewhere).count();
     let mut removed = vec![vec![false; splats.len()], by_opacity_and_size(judged)];
     removed.extend(Strength::ALL.map(|strength| cleaned.removed(strength).iter().map(Option::is_some).collect()));
     let removal = |removed: &Vec<bool>| {
         let kept: Vec<bool> = removed.iter().map(|gone| !gone).collect();
-        Ok((Figures::new(removed, &judged.places), Images::of(&splats.clone().keep(&kept)?, judged)))
+        Ok((Figures::new(removed, &judged.places), Images::of(&splats.clone().keep(&kept)?, &judged.truth)?))
     };
     Ok(Row {
         splats: splats.len(),

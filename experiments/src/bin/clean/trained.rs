@@ -1,26 +1,31 @@
-//! Splats that are trained on few views of meshes, and kept.
+//! Models that are trained on few views of meshes: splats, which are kept, and hash grids.
 
-use glam::DVec3;
-use octobayes::geometry::Aabb;
+use std::path::PathBuf;
+
+use glam::{DVec3, Vec3};
+use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::{Error, Result};
 use octobayes_data::Hemisphere;
+use octobayes_models::HashGrid;
 use octobayes_splats::Splats;
 use octobayes_synth::{DatasetSettings, MeshScene, Surface, Up, write_dataset};
-use octobayes_train::{DatasetFiles, Shot, SplatSettings, SplatTrainer, Training};
+use octobayes_train::{Budget, DatasetFiles, Run, Shot, SplatSettings, SplatTrainer, TrainSettings, Trainer, Training};
 use rayon::prelude::*;
 
 use common::meshes;
-use common::surface;
+use common::surface::{self, Place};
 use common::work::Work;
 
-use crate::judge::{Judged, TrueView};
+use crate::judge::{TrueView, Truth};
+use crate::methods::Judged;
 
-/// Side of the images, pixels; samples along a pixel's side; steps of the training.
+/// Side of the images, pixels; samples along a pixel's side; steps of the training of splats and of hash grids.
 pub const SIDE: u32 = 160;
 const SAMPLES: u32 = 3;
 pub const STEPS: u64 = 1500;
-/// A splat is at the surface if it is no farther from it than this part of the mesh's length.
+pub const GRID_STEPS: u64 = 1000;
+/// A part is at the surface if it is no farther from it than this part of the mesh's length.
 pub const SLACK: f64 = 0.02;
 /// Held-out views.
 pub const HELD_OUT: u32 = 10;
@@ -39,32 +44,89 @@ pub const VIEWS: [Views; 3] = [
     Views { name: "12 of one side", count: 12, is_half: true },
 ];
 
-/// Trains a model of a mesh, or reads the one that was trained before, of whatever part.
-pub fn judged(work: &Work, mesh: &str, up: Up, views: Views, seed: u64) -> Result<Judged> {
-    let name = format!("{mesh}_{}{}_{seed}", views.count, if views.is_half { "half" } else { "" });
-    let models = work.folder().with_file_name("models");
-    let (folder, file) = (models.join(&name), models.join(format!("{name}.ply")));
-    std::fs::create_dir_all(&models).map_err(Error::io(&models, "cannot create the folder"))?;
-    if !folder.exists() {
-        let half = views.is_half.then_some(Hemisphere::Left);
-        let settings = DatasetSettings::default().up(up).views(views.count).test_views(HELD_OUT).hemisphere(half);
-        let settings = settings.resolution([SIDE; 2]).samples_per_side(SAMPLES).seed(seed);
-        write_dataset(&meshes::file(mesh)?, &folder, &settings, &Silent)?;
+/// Part of a run that is done where splats are trained further: the number of splats stays then.
+const DONE: f64 = 0.7;
+
+/// Images of a mesh, and what is known of it.
+pub struct Scene {
+    shots: Vec<Shot>,
+    bounds: Aabb,
+    mesh: MeshScene,
+    pub truth: Truth,
+}
+
+impl Scene {
+    /// Makes the images, or reads those that were made before, of whatever part.
+    pub fn new(work: &Work, mesh: &str, up: Up, views: Views, seed: u64) -> Result<Self> {
+        let folder = models(work)?.join(name(mesh, views, seed));
+        if !folder.exists() {
+            let half = views.is_half.then_some(Hemisphere::Left);
+            let settings = DatasetSettings::default().up(up).views(views.count).test_views(HELD_OUT).hemisphere(half);
+            let settings = settings.resolution([SIDE; 2]).samples_per_side(SAMPLES).seed(seed);
+            write_dataset(&meshes::file(mesh)?, &folder, &settings, &Silent)?;
+        }
+        let files = DatasetFiles::read(&folder)?;
+        let [shots, held_out] = files.load(&Silent)?;
+        let mesh = meshes::read(mesh, up)?;
+        let length = meshes::length(&mesh);
+        let held_out = held_out.iter().map(|shot| true_view(&mesh, shot)).collect();
+        let truth = Truth { held_out, slack: SLACK * length, length };
+        Ok(Self { shots, bounds: files.bounds, mesh, truth })
     }
-    let files = DatasetFiles::read(&folder)?;
-    let [shots, held_out] = files.load(&Silent)?;
+
+    /// The cameras of the training.
+    pub fn cameras(&self) -> Vec<Camera> {
+        self.shots.iter().map(|shot| shot.camera).collect()
+    }
+
+    /// Where points are.
+    pub fn places(&self, points: &[Vec3]) -> Vec<Place> {
+        let points: Vec<DVec3> = points.iter().map(|x| x.as_dvec3()).collect();
+        surface::places(&self.mesh, &points, self.truth.slack)
+    }
+
+    /// Trains a hash grid.
+    pub fn hash_grid(&self, seed: u64) -> Result<HashGrid> {
+        let settings = TrainSettings::default().seed(seed);
+        let mut trainer = Trainer::new(settings, Domain::Box(self.bounds), &self.shots)?;
+        let run = Run { budget: Budget::Steps(GRID_STEPS), held_out: &[], pixels: 0, looks: 0, state: None };
+        run.train(&mut trainer, 0.0, &Silent, |_| {})?;
+        Ok(trainer.field(serde_json::Value::Null))
+    }
+
+    /// Trains splats further, at the rates of the end of a run.
+    pub fn refit(&self, splats: &Splats, steps: u64, seed: u64) -> Result<Splats> {
+        let settings = SplatSettings::default().most(SplatSettings::most_for(&self.shots)).seed(seed);
+        let mut trainer = SplatTrainer::from_splats(settings, self.bounds, splats, &self.shots)?;
+        while trainer.steps() < steps {
+            trainer.step(DONE + (1.0 - DONE) * trainer.steps() as f64 / steps as f64);
+        }
+        trainer.splats()
+    }
+}
+
+fn models(work: &Work) -> Result<PathBuf> {
+    let models = work.folder().with_file_name("models");
+    std::fs::create_dir_all(&models).map_err(Error::io(&models, "cannot create the folder"))?;
+    Ok(models)
+}
+
+fn name(mesh: &str, views: Views, seed: u64) -> String {
+    format!("{mesh}_{}{}_{seed}", views.count, if views.is_half { "half" } else { "" })
+}
+
+/// Trains splats of a mesh, or reads those that were trained before, of whatever part.
+pub fn judged(work: &Work, mesh: &str, up: Up, views: Views, seed: u64) -> Result<Judged> {
+    let scene = Scene::new(work, mesh, up, views, seed)?;
+    let name = name(mesh, views, seed);
+    let file = models(work)?.join(format!("{name}.ply"));
     if !file.exists() {
-        train(&shots, files.bounds, seed)?.write(&file)?;
+        train(&scene.shots, scene.bounds, seed)?.write(&file)?;
         eprintln!("{name} is trained");
     }
     let splats = Splats::read(&file)?;
-    let truth = meshes::read(mesh, up)?;
-    let length = meshes::length(&truth);
-    let centres: Vec<DVec3> = splats.means().iter().map(|x| x.as_dvec3()).collect();
-    let places = surface::places(&truth, &centres, SLACK * length);
-    let cameras = shots.iter().map(|shot| shot.camera).collect();
-    let held_out = held_out.iter().map(|shot| true_view(&truth, shot)).collect();
-    Ok(Judged { splats, cameras, places, held_out, slack: SLACK * length, length })
+    let (places, cameras) = (scene.places(splats.means()), scene.cameras());
+    Ok(Judged { splats, cameras, places, truth: scene.truth })
 }
 
 fn train(shots: &[Shot], bounds: Aabb, seed: u64) -> Result<Splats> {
