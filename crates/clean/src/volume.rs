@@ -124,7 +124,7 @@ impl Clean<'_> {
     ///
     /// # Errors
     /// If there is no camera, if masks are not those of the cameras, if the model has no density, if nothing would be
-    /// left at any strength, or [`Error::Interrupted`](octobayes::Error::Interrupted).
+    /// left at any strength, or [`Error::Interrupted`].
     pub fn volume(&self, model: &dyn Model, cells: Cells) -> Result<CleanedVolume> {
         self.check_cameras()?;
         let field = model.field().ok_or_else(|| Error::setting("model", "a volume", model.kind()))?;
