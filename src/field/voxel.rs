@@ -80,7 +80,7 @@ impl VoxelGrid {
         Self::baked(field, shape, |_| view, &Silent).expect("nothing interrupts")
     }
 
-    /// [`VoxelGrid::bake`] with each point seen from the nearest of `eyes`, of which there must be one.
+    /// [`VoxelGrid::bake`] with each point seen from the nearest of `eyes`. At least one is needed.
     ///
     /// # Errors
     /// [`Error::Interrupted`], or if the field is not finite or a colour out of range.

@@ -113,26 +113,32 @@ impl Camera {
     /// Image coordinates of a scene point and its depth along the view axis; `None` behind the camera.
     #[must_use]
     pub fn project(&self, x: DVec3) -> Option<([f64; 2], f64)> {
+        let (ideal, depth) = self.ideal(x)?;
+        Some((self.pixel(self.distortion.distort(ideal)), depth))
+    }
+
+    /// Where a lens without distortion puts a scene point, in focal lengths from the centre, and its depth.
+    fn ideal(&self, x: DVec3) -> Option<([f64; 2], f64)> {
         let p = self.axes.transpose() * (x - self.position);
         let depth = -p.z;
-        (depth > 0.0).then(|| {
-            let [x, y] = self.distortion.distort([p.x / depth, -p.y / depth]);
-            ([self.center[0] + self.focal[0] * x, self.center[1] + self.focal[1] * y], depth)
-        })
+        (depth > 0.0).then(|| ([p.x / depth, -p.y / depth], depth))
+    }
+
+    /// Image coordinates of a place in focal lengths from the centre.
+    fn pixel(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        [self.center[0] + self.focal[0] * x, self.center[1] + self.focal[1] * y]
     }
 
     /// Image coordinates and depth of a scene point as [`Camera::project`]; `None` outside the image, too. What a
     /// polynomial of the lens folds back into the image from far beside it is outside.
     #[must_use]
     pub fn project_inside(&self, x: DVec3) -> Option<([f64; 2], f64)> {
-        let is_inside = |at: &[f64; 2]| at.iter().zip(self.resolution).all(|(v, n)| (0.0..f64::from(n)).contains(v));
-        let found = self.project(x).filter(|(at, _)| is_inside(at))?;
-        if self.distortion == Distortion::default() {
-            return Some(found);
-        }
-        let (at, p) = (found.0, self.axes.transpose() * (x - self.position));
-        let (ideal, seen) = ([-p.x / p.z, p.y / p.z], [0, 1].map(|k| (at[k] - self.center[k]) / self.focal[k]));
-        self.distortion.keeps_its_side(ideal, seen).then_some(found)
+        let (ideal, depth) = self.ideal(x)?;
+        let seen = self.distortion.distort(ideal);
+        let at = self.pixel(seen);
+        let is_inside = at.iter().zip(self.resolution).all(|(v, n)| (0.0..f64::from(n)).contains(v));
+        let keeps_its_side = || self.distortion == Distortion::default() || self.distortion.keeps_its_side(ideal, seen);
+        (is_inside && keeps_its_side()).then_some((at, depth))
     }
 
     /// What makes the camera impossible, or `None`. Meant for cameras read from files.

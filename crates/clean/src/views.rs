@@ -36,7 +36,7 @@ pub(crate) struct ListedView {
     /// The first row and column, and how far it is to the next ones.
     pub start: u32,
     pub stride: u32,
-    /// By row: of every column the parts front to back, or `None` where the mask leaves the pixel out.
+    /// By row: of every column the parts front to back.
     pub rows: Vec<ListedRow>,
 }
 
@@ -46,7 +46,7 @@ pub(crate) struct ListedRow {
     hits: Vec<Listed>,
     /// Where each pixel's parts end; the next one's begin there.
     ends: Vec<u32>,
-    /// By the mask, or because what it shows is not known.
+    /// Left out by the mask, or because the ray was dropped.
     is_masked: Vec<bool>,
 }
 
@@ -66,7 +66,7 @@ impl ListedPoints {
         self.is_unknown.push(false);
     }
 
-    /// Adds a point of which it is not known what it shows.
+    /// Adds a point without an answer: its ray was dropped.
     pub fn push_unknown(&mut self) {
         self.ends.push(self.hits.len() as u32);
         self.is_unknown.push(true);
@@ -91,7 +91,7 @@ impl ListedRow {
         &mut self.hits
     }
 
-    /// The parts of every column, front to back; `None` where the mask leaves it out.
+    /// The parts of every column, front to back; `None` where the mask leaves it out, or its ray was dropped.
     pub fn pixels(&self) -> impl Iterator<Item = Option<&[Listed]>> {
         let starts = std::iter::once(0).chain(self.ends.iter().copied());
         let ranges = starts.zip(&self.ends).map(|(start, &end)| &self.hits[start as usize..end as usize]);

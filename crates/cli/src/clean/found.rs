@@ -1,4 +1,4 @@
-//! What is found of a model, whatever it is made of, and how it is told.
+//! What `clean` finds in a model of any kind, and how it reports that.
 
 use std::path::Path;
 

@@ -195,7 +195,7 @@ fn a_voxel_grid_keeps_all_but_its_fog() {
     for row in floating {
         let x = Vec3::from_array([1, 2, 3].map(|k| number(row, k) as f32));
         all += number(row, 8);
-        // Half the diagonal of a cell, of which each has a point, and that of a voxel, through which the fog's edge falls.
+        // Half the diagonal of a cell, and the diagonal of a voxel: the fog's edge falls off over one.
         let reach = 0.16 + 3_f32.sqrt() * (0.5 * 3.0 / 48.0 + 3.0 / 47.0);
         of_fog += if x.distance(FOG) < reach { number(row, 8) } else { 0.0 };
     }

@@ -66,9 +66,14 @@ impl Figures {
 
 /// [`recall_at`] of what is in the air, among judged splats.
 pub fn air_at(precision: f64, score: &[f64], places: &[Place]) -> f64 {
-    let judged = score.iter().zip(places).filter(|(_, place)| **place != Place::Elsewhere);
-    let (score, is_air): (Vec<f64>, Vec<bool>) = judged.map(|(score, place)| (*score, *place == Place::Air)).unzip();
+    let (score, is_air) = judged(score, places);
     recall_at(precision, &score, &is_air)
+}
+
+/// The scores of judged splats, and whether each is in the air.
+pub fn judged(score: &[f64], places: &[Place]) -> (Vec<f64>, Vec<bool>) {
+    let judged = score.iter().zip(places).filter(|(_, place)| **place != Place::Elsewhere);
+    judged.map(|(score, place)| (*score, *place == Place::Air)).unzip()
 }
 
 /// Held-out images of a model beside the truth.

@@ -14,11 +14,10 @@ use serde::{Deserialize, Serialize};
 
 use common::clock::Clock;
 use common::recall::precision_of;
-use common::surface::Place;
 use common::table::Table;
 use common::work::Work;
 
-use crate::judge::Figures;
+use crate::judge::{self, Figures};
 use crate::lego;
 use crate::methods::{Judged, clean, order};
 
@@ -75,10 +74,7 @@ fn measure(cli: &Path, work: &Work, judged: &Judged, settings: [f64; 3]) -> Resu
     let stays: HashSet<[u32; 3]> = (0..left.len()).map(|i| place(&left, i)).collect();
     let removed: Vec<bool> = (0..judged.splats.len()).map(|i| !stays.contains(&place(&judged.splats, i))).collect();
     let figures = Figures::new(&removed, &judged.places);
-    let score = order(&clean(judged, Rule::default())?);
-    let is_judged = |(_, place): &(&f64, &Place)| **place != Place::Elsewhere;
-    let judged = score.iter().zip(&judged.places).filter(is_judged);
-    let (score, is_air): (Vec<f64>, Vec<bool>) = judged.map(|(score, place)| (*score, *place == Place::Air)).unzip();
+    let (score, is_air) = judge::judged(&order(&clean(judged, Rule::default())?), &judged.places);
     Ok(Row { figures, clean: precision_of(figures.recall, &score, &is_air), seconds })
 }
 

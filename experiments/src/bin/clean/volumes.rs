@@ -57,7 +57,7 @@ fn centers(found: &CleanedVolume) -> Vec<Vec3> {
     found.parts.iter().map(|&cell| found.cells.center(cell)).collect()
 }
 
-/// Where the cells are that training pixels get some light from; the others, of which there are many, are not judged.
+/// Where the cells are that give training pixels some light. The others are many, and are not judged.
 fn places(scene: &Scene, found: &CleanedVolume) -> Vec<Place> {
     let centers = centers(found);
     let judged: Vec<usize> = (0..centers.len()).filter(|&i| found.cleaned.evidence.weight[i] >= LEAST).collect();
