@@ -1,4 +1,4 @@
-"""Which splats would a scene be better without?"""
+"""What would a scene be better without?"""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from ._api import _opened, _training_cameras
 from ._arguments import path as as_path
 from ._arguments import real, whole, wrong
 from ._defaults import DEFAULT
+from ._model import Model, Opened
 from ._progress import Progress, reporting
 from ._splats import Splats
 
-#: Why a splat goes, by number; 0 is that it stays.
+#: Why a part goes, by number; 0 is that it stays.
 REASONS = ("kept", *DEFAULT.clean_reasons)
 #: How much goes.
 STRENGTHS = tuple(DEFAULT.clean_strengths)
@@ -25,54 +26,77 @@ STRENGTHS = tuple(DEFAULT.clean_strengths)
 
 @dataclass(frozen=True)
 class Cleaned:
-    """What is left of splats, and what the training views show of each: arrays ``[n]``."""
+    """What is left of a model, and what the training views show of its n parts: splats, or cells of a volume."""
 
-    #: Which splats stay.
+    #: ``[n]``: which parts stay.
     kept: NDArray[np.bool_]
-    #: Why each goes, one of 'floating', 'unseen', 'outside', 'transparent', or 'kept'.
+    #: ``[n]``: why each goes, one of 'floating', 'unseen', 'outside', 'transparent', or 'kept'.
     reason: NDArray[np.str_]
-    #: 'score' (how far views contradict it, at most 1), 'front_share' (the part of its weight that is in front of
-    #: what pixels show), 'weight' (sum of its shares of the pixels that were looked at), 'views' (training views that
-    #: show it).
+    #: ``[n, 3]``: centres of the parts, scene units. Cells that no pixel shows are no parts.
+    position: NDArray[np.float32]
+    #: ``[n]`` each: 'score' (how far views contradict it, at most 1), 'front_share' (the part of its weight that is in
+    #: front of what pixels show), 'weight' (sum of its shares of the pixels that were looked at), 'views' (training
+    #: views that show it).
     columns: dict[str, np.ndarray]
-    _splats: Splats
+    _model: Opened
+    _found: Any
+    _strength: str
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the splats that stay: ``.ply``, ``.compressed.ply``, ``.spz`` or ``.splat``."""
-        path = as_path("path", path)
-        if os.path.exists(path) and os.path.samefile(path, self._splats.name):
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        points: int = DEFAULT.clean_points,
+        progress: Progress | bool | None = None,
+    ) -> None:
+        """Writes what stays.
+
+        path: of splats ``.ply``, ``.compressed.ply``, ``.spz`` or ``.splat``; of a hash grid of ``octobayes train``
+        ``.safetensors``; of any volume ``.npz``, a voxel grid. points: along its longest edge, if the model is none.
+        """
+        path, points = as_path("path", path), whole("points", points, 2, 1024)
+        if os.path.exists(path) and os.path.exists(self._model.name) and os.path.samefile(path, self._model.name):
             raise wrong("path", "a file other than the model", path)
-        _octobayes.write_kept_splats(self._splats._model, self.kept, path)
+        with reporting(progress) as report:
+            self._found.write(path, self._strength, points, report)
 
 
 def clean(
-    splats: Splats | str | os.PathLike[str],
-    cameras: Any,
+    nerf: Model | Splats | str | os.PathLike[str],
+    cameras: Any = None,
     *,
     strength: str = DEFAULT.clean_strength,
     pixels: int = DEFAULT.clean_pixels,
-    pixel_offset: float = 0.5,
+    pixel_offset: float | None = None,
+    points: int = DEFAULT.clean_points,
     views: Any = None,
     resolution: Any = None,
+    fov: float | None = None,
     progress: Progress | bool | None = None,
 ) -> Cleaned:
     """Finds floaters, and what no camera saw, as the command ``octobayes clean``.
 
-    Masks are not applied, and images are not compared with the splats: the command does both.
+    Images are not compared with the model, as the command does. Masks that lie beside the cameras are applied.
 
-    splats: a file, or :func:`open_model` of one. cameras: those of its training, as in :func:`uncertainty`. strength:
-    'careful', 'normal' or 'strong'. pixels: how many are looked at, over all cameras. Raises ValueError if the cameras
-    show nothing of the splats.
+    nerf: a file, or :func:`open_model` of one. cameras: those of its training, as in :func:`uncertainty`; ``None`` for
+    the model's own. strength: 'careful', 'normal' or 'strong'. pixels: how many are looked at, over all cameras.
+    pixel_offset: where in a pixel its ray goes; ``None`` for the middle, or what the model was trained with. points: of
+    a volume that has no grid of its own; its cells are no smaller. Raises ValueError if the cameras show nothing of
+    the model.
     """
     if strength not in STRENGTHS:
         raise wrong("strength", ", ".join(STRENGTHS), strength)
-    splats = _opened(splats, cameras, None)
-    if not isinstance(splats, Splats):
-        raise wrong("splats", "Gaussian splats, or a file of these", splats)
-    rows = np.ascontiguousarray(_training_cameras(splats, cameras, views, resolution, None).rows)
-    offset, pixels = real("pixel_offset", pixel_offset), whole("pixels", pixels, 1)
+    model = _opened(nerf, cameras, None)
+    if not isinstance(model, Opened):
+        raise wrong("nerf", "a model file, or open_model of one", model)
+    chosen = _training_cameras(model, cameras, views, resolution, fov)
+    offset = getattr(model, "pixel_offset", 0.5) if pixel_offset is None else real("pixel_offset", pixel_offset)
+    options = {"pixels": whole("pixels", pixels, 1), "points": whole("points", points, 2, 1024), "pixel_offset": offset}
+    options |= chosen.options()
     with reporting(progress) as report:
-        columns = _octobayes.clean_splats(splats._model, rows, offset, pixels, report)
+        found = _octobayes.clean(model._model, np.ascontiguousarray(chosen.rows), options, report)
+    position, columns = found.columns()
     reason, at = columns.pop("reason"), columns.pop("strength")
     gone = (at > 0) & (at <= 1 + STRENGTHS.index(strength))
-    return Cleaned(~gone, np.array(REASONS)[np.where(gone, reason, 0)], columns, splats)
+    reasons = np.array(REASONS)[np.where(gone, reason, 0)]
+    return Cleaned(~gone, reasons, position, columns, model, found, strength)

@@ -169,12 +169,13 @@ def seen_splats(
 ) -> tuple[Doubles, NDArray[np.uint32], Doubles]:
     """weight [n], views [n], front_share [n]."""
 
-def clean_splats(
-    splats: Splats, rows: Doubles, pixel_offset: float, pixels: int, progress: Progress | None
-) -> dict[str, Any]:
-    """reason, strength uint8 [n], score, front_share, weight [n], views uint32 [n]."""
+class Cleaned:
+    def columns(self) -> tuple[Floats, dict[str, Any]]:
+        """Positions [n, 3]; reason, strength uint8 [n], score, front_share, weight [n], views uint32 [n]."""
 
-def write_kept_splats(splats: Splats, kept: NDArray[np.bool_], path: str) -> None: ...
+    def write(self, path: str, strength: str, points: int, progress: Progress | None) -> None: ...
+
+def clean(nerf: Model | Splats, rows: Doubles, options: dict[str, Any], progress: Progress | None) -> Cleaned: ...
 def export_splats(
     splats: Splats,
     field: Uncertainty,

@@ -4,6 +4,7 @@
 //! that are expected here. A field in Python is called in one place only ([`work`]).
 #![allow(clippy::needless_pass_by_value, reason = "PyO3 hands arguments over by value")]
 
+mod clean;
 mod errors;
 mod export;
 mod field;
@@ -38,8 +39,7 @@ fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(export::export_field, module)?)?;
     module.add_function(wrap_pyfunction!(export::export_surfaces, module)?)?;
     module.add_function(wrap_pyfunction!(splats::seen_splats, module)?)?;
-    module.add_function(wrap_pyfunction!(splats::clean_splats, module)?)?;
-    module.add_function(wrap_pyfunction!(splats::write_kept_splats, module)?)?;
+    module.add_function(wrap_pyfunction!(clean::clean, module)?)?;
     module.add_function(wrap_pyfunction!(splats::export_splats, module)?)?;
     module.add_function(wrap_pyfunction!(view::render, module)?)?;
     module.add_function(wrap_pyfunction!(judge::evaluate, module)?)?;

@@ -8,7 +8,7 @@ use octobayes::posterior::{Covariance, Criterion};
 use octobayes::rays::Pixels;
 use octobayes::render::RayAverage;
 use octobayes::uncertainty::Comparison;
-use octobayes_clean::{Clean, Reason, Strength};
+use octobayes_clean::{Baking, Clean, Reason, Strength};
 use octobayes_data::OfficialGrid;
 use octobayes_data::{Selection, rigid_pose};
 use octobayes_evaluation::{DepthFiles, Evaluation};
@@ -200,6 +200,7 @@ pub fn defaults() -> String {
         "depth_pattern": DepthFiles::PATTERN,
         "pixels": Surfaces::PIXELS,
         "clean_pixels": Clean::PIXELS,
+        "clean_points": Baking::POINTS,
         "clean_strength": Strength::default(),
         "clean_strengths": Strength::ALL,
         "clean_reasons": Reason::ALL,

@@ -144,7 +144,7 @@ pub fn uncertainty(
 }
 
 /// The cameras, with the names, images and masks that lie beside them.
-fn views(options: &Options, cameras: &[Camera]) -> PyResult<Views> {
+pub fn views(options: &Options, cameras: &[Camera]) -> PyResult<Views> {
     let names = options.or("names", Vec::<String>::new())?.into_iter().chain(std::iter::repeat_with(String::new));
     let beside = options.or("beside", Vec::<Beside>::new())?.into_iter().map(Some).chain(std::iter::repeat(None));
     let frame = |((&camera, name), beside): ((&Camera, String), Option<Beside>)| {

@@ -2,15 +2,16 @@
 
 use std::path::PathBuf;
 
-use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use octobayes::{Error, Result};
-use octobayes_clean::{Clean, Evidence, Removal};
+use octobayes_clean::Evidence;
 use octobayes_session::OpenedModel;
 use octobayes_show::export::write_splats;
 use octobayes_splats::{RenderMode, Splats as Gaussians};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use crate::clean::front_shares;
 use crate::errors::{OrRaise, Said, said};
 use crate::field::Uncertainty;
 use crate::options::{Options, cameras, choose};
@@ -180,46 +181,6 @@ pub fn seen_splats<'py>(
     let front = front_shares(&seen);
     let [weights, front] = [seen.weight, front].map(|values| PyArray1::from_vec(py, values));
     Ok((weights, PyArray1::from_vec(py, seen.views), front))
-}
-
-/// Why each splat goes, `[n]`: 0 stays, else the number of its reason; at which strength, `[n]`: 0 stays, else its
-/// number from 1; how far the views contradict it, and what they show of it.
-#[pyfunction]
-pub fn clean_splats<'py>(
-    py: Python<'py>,
-    splats: &Bound<'py, Splats>,
-    rows: PyReadonlyArray2<'py, f64>,
-    pixel_offset: f64,
-    pixels: u64,
-    progress: Option<&Bound<'py, PyAny>>,
-) -> PyResult<Bound<'py, PyDict>> {
-    let (splats, rows) = (splats.get().0.clone(), cameras(&rows)?);
-    let cleaned = work(py, None, progress, |engine| {
-        let clean = Clean::new(&rows).pixel_offset(pixel_offset).pixels(pixels);
-        clean.monitor(engine.monitor()).splats(splats.splats())
-    })?;
-    let of = |value: fn(&Removal) -> u8| -> Vec<u8> {
-        cleaned.removals.iter().map(|removal| removal.as_ref().map_or(0, |removal| 1 + value(removal))).collect()
-    };
-    let columns = PyDict::new(py);
-    columns.set_item("reason", PyArray1::from_vec(py, of(|removal| removal.reason as u8)))?;
-    columns.set_item("strength", PyArray1::from_vec(py, of(|removal| removal.strength as u8)))?;
-    columns.set_item("score", PyArray1::from_vec(py, cleaned.scores))?;
-    columns.set_item("front_share", PyArray1::from_vec(py, front_shares(&cleaned.evidence)))?;
-    columns.set_item("weight", PyArray1::from_vec(py, cleaned.evidence.weight))?;
-    columns.set_item("views", PyArray1::from_vec(py, cleaned.evidence.views))?;
-    Ok(columns)
-}
-
-fn front_shares(of: &Evidence) -> Vec<f64> {
-    (0..of.weight.len()).map(|i| of.front_share(i)).collect()
-}
-
-/// Writes the splats for which `kept` is true, in the format of the path's extension.
-#[pyfunction]
-pub fn write_kept_splats(splats: &Bound<'_, Splats>, kept: PyReadonlyArray1<'_, bool>, path: PathBuf) -> PyResult<()> {
-    let kept = kept.as_slice()?;
-    splats.get().0.splats().clone().keep(kept).or_raise()?.write(&path).or_raise()
 }
 
 /// Writes the splats with their uncertainty; with cameras, what these show of them as well.

@@ -231,30 +231,3 @@ def test_views_that_no_camera_has_are_worth_most(splats, field):
     assert one["gains"][0] == found["gains"][3] > 0
     with pytest.raises(ValueError, match="occupancy.*splats are projected"):
         ob.next_view(splats, field, [camera(3.0)], occupancy=32, progress=False)
-
-
-def test_floaters_go_and_the_file_has_what_stays(tmp_path):
-    rows = ball()
-    floaters = rows[:20].copy()
-    angle = np.arange(20) * 0.3
-    floaters[:, :3] = 1.3 * np.stack([np.cos(angle), np.sin(angle), 0.2 + 0 * angle], axis=1)
-    floaters[:, 6] = -0.5
-    floaters[:, 7:10] = -3.4
-    path = write(tmp_path / "scene.ply", np.concatenate([rows, floaters]))
-    cameras = [camera(0.52 * k) for k in range(12)]
-    cleaned = ob.clean(path, cameras, progress=False)
-    assert not cleaned.kept[N:].any() and cleaned.kept[:N].mean() > 0.9
-    assert set(cleaned.reason[N:]) == {"floating"} and (cleaned.kept == (cleaned.reason == "kept")).all()
-    assert list(cleaned.columns) == ["score", "front_share", "weight", "views"]
-    assert all(len(column) == N + 20 for column in cleaned.columns.values())
-    assert cleaned.columns["front_share"][N:].min() > 0.5 > cleaned.columns["front_share"][cleaned.kept].mean()
-    sizes = [(~ob.clean(path, cameras, strength=word, progress=False).kept).sum() for word in ("careful", "strong")]
-    assert sizes[0] <= (~cleaned.kept).sum() <= sizes[1]
-    for name in ["left.ply", "left.spz", "left.splat", "left.compressed.ply"]:
-        cleaned.save(tmp_path / name)
-        assert len(ob.open_model(tmp_path / name)) == cleaned.kept.sum()
-    assert (ob.open_model(tmp_path / "left.ply").means == ob.open_model(path).means[cleaned.kept]).all()
-    with pytest.raises(ValueError, match="careful, normal, strong"):
-        ob.clean(path, cameras, strength="hard")
-    with pytest.raises(ValueError, match="other than the model"):
-        cleaned.save(path)

@@ -30,6 +30,7 @@
 //! ```
 
 mod evidence;
+mod file;
 mod rule;
 mod run;
 mod splats;
@@ -37,6 +38,7 @@ mod views;
 mod volume;
 
 pub use self::evidence::{Evidence, SHOWN, SLACK};
+pub use self::file::{Baking, VolumeFile};
 pub use self::rule::{Reason, Strength};
 pub use self::run::{Clean, Cleaned, Removal};
 pub use self::volume::{Cells, CleanedVolume};

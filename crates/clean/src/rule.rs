@@ -21,6 +21,7 @@ octobayes::choices! {
         Unseen = "unseen", "is beside the images of all training views, or, if it is a splat, behind surfaces";
         Outside = "outside", "is far outside everything that the training views show";
         Transparent = "transparent", "is so thin that hardly a pixel shows it";
+        Loose = "loose", "has a larger U than nearly all visible surfaces, if it goes by that alone";
     }
 }
 
@@ -33,6 +34,7 @@ impl Reason {
             Self::Unseen => "are seen by no camera",
             Self::Outside => "lie far outside everything",
             Self::Transparent => "are nearly transparent",
+            Self::Loose => "are held more loosely than nearly all visible surfaces",
         }
     }
 }

@@ -3,6 +3,7 @@
 use glam::{DVec3, Vec3};
 use octobayes::geometry::{Camera, Mask};
 use octobayes::monitor::{Monitor, Silent, check};
+use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
 use serde::Serialize;
 
@@ -37,6 +38,8 @@ pub struct Cleaned {
     pub pixels: [u64; 2],
     /// How often they were looked at.
     pub looks: usize,
+    /// `[n]`: U of the centre of each part, if a [field](Self::with_field) was given.
+    pub uncertainty: Option<Vec<f64>>,
 }
 
 impl Cleaned {
@@ -49,9 +52,42 @@ impl Cleaned {
 
     /// How many parts go at a strength, by [`Reason`].
     #[must_use]
-    pub fn counts(&self, strength: Strength) -> [usize; 4] {
+    pub fn counts(&self, strength: Strength) -> [usize; Reason::ALL.len()] {
         let removed = self.removed(strength);
         Reason::ALL.map(|reason| removed.iter().filter(|found| **found == Some(reason)).count())
+    }
+}
+
+impl Cleaned {
+    /// Share of the visible surfaces that stays [by uncertainty](Self::by_uncertainty), `[Strength]`.
+    pub const SURFACES: [f64; 3] = [0.999, 0.99, 0.95];
+
+    /// The same, with the uncertainty of each part. What goes stays the same.
+    ///
+    /// # Panics
+    /// If there is not one centre for each part.
+    #[must_use]
+    pub fn with_field(self, centers: &[Vec3], field: &UncertaintyField) -> Self {
+        assert_eq!(centers.len(), self.removals.len(), "centres of parts");
+        let uncertainty = field.query_all(centers).into_iter().map(|estimate| estimate.uncertainty).collect();
+        Self { uncertainty: Some(uncertainty), ..self }
+    }
+
+    /// The same parts, of which those go whose log10 U exceeds a limit, `[Strength]`, and no others: the clean-up of
+    /// Bayes' Rays (Sec. 5.2).
+    ///
+    /// # Panics
+    /// If no [field](Self::with_field) was given.
+    #[must_use]
+    pub fn by_uncertainty(mut self, limits: [f64; 3]) -> Self {
+        let uncertainty = self.uncertainty.as_ref().expect("a field was given");
+        for (i, removal) in self.removals.iter_mut().enumerate() {
+            let goes = |strength: &Strength| uncertainty[i].log10() > limits[*strength as usize];
+            let strength = Strength::ALL.into_iter().find(goes);
+            let (reason, score) = (Reason::Loose, self.scores[i]);
+            *removal = strength.map(|strength| Removal { reason, strength, score, look: 1 });
+        }
+        self
     }
 }
 
@@ -62,6 +98,7 @@ pub struct Clean<'a> {
     pub(crate) masks: &'a [Option<Mask>],
     pub(crate) pixel_offset: f64,
     pub(crate) pixels: u64,
+    pub(crate) hidden: bool,
     pub(crate) rule: Rule,
     pub(crate) monitor: &'a dyn Monitor,
 }
@@ -74,7 +111,7 @@ impl<'a> Clean<'a> {
     #[must_use]
     pub fn new(cameras: &'a [Camera]) -> Self {
         let (pixels, rule) = (Self::PIXELS, Rule::default());
-        Self { cameras, masks: &[], pixel_offset: 0.5, pixels, rule, monitor: &Silent }
+        Self { cameras, masks: &[], pixel_offset: 0.5, pixels, hidden: false, rule, monitor: &Silent }
     }
 
     /// Which pixels of each camera count, `[cameras]`, if not all.
@@ -93,6 +130,13 @@ impl<'a> Clean<'a> {
     #[must_use]
     pub fn pixels(self, pixels: u64) -> Self {
         Self { pixels, ..self }
+    }
+
+    /// Whether cells of a volume with matter that images hide are parts as well. The views do not contradict them;
+    /// [uncertainty](Cleaned::by_uncertainty) may.
+    #[must_use]
+    pub fn hidden(self, hidden: bool) -> Self {
+        Self { hidden, ..self }
     }
 
     /// With other constants.
@@ -123,7 +167,7 @@ impl<'a> Clean<'a> {
         let all = self.cameras.iter().map(Camera::pixels).sum();
         let evidence = Evidence::of(&listed.views, listed.parts, &vec![true; n]);
         let (removals, scores) = (vec![None; n], vec![0.0; n]);
-        let mut cleaned = Cleaned { removals, evidence, scores, pixels: [looked_at, all], looks: 1 };
+        let mut cleaned = Cleaned { removals, evidence, scores, pixels: [looked_at, all], looks: 1, uncertainty: None };
         let outside = self.outside(listed.parts.centers, &cleaned.evidence);
         let mut latest = cleaned.evidence.clone();
         for stage in self.rule.stages {

@@ -104,6 +104,18 @@ pub struct CleanedVolume {
 }
 
 impl CleanedVolume {
+    /// `[n]`: the middle of each part, scene units.
+    #[must_use]
+    pub fn centers(&self) -> Vec<Vec3> {
+        self.parts.iter().map(|&cell| self.cells.center(cell)).collect()
+    }
+
+    /// `[cells]`: whether a cell [goes](Self::removed) at a strength.
+    #[must_use]
+    pub fn is_removed(&self, strength: Strength) -> Vec<bool> {
+        self.removed(strength).iter().map(Option::is_some).collect()
+    }
+
     /// `[cells]`: why a cell goes at a strength, if it does. Cells without matter that touch one that goes go with it:
     /// they may hold its rim.
     #[must_use]
@@ -150,6 +162,9 @@ impl Clean<'_> {
         let unseen = others.into_par_iter().filter(|&cell| !is_thin[cell] && !is_in_image(cells.center(cell)));
         let unseen: Vec<usize> = unseen.collect();
         unseen.iter().for_each(|&cell| is_part[cell] = true);
+        if self.hidden {
+            (0..cells.count()).for_each(|cell| is_part[cell] |= !is_thin[cell]);
+        }
         let parts: Vec<usize> = (0..cells.count()).filter(|&i| is_part[i]).collect();
         let mut number = vec![0; cells.count()];
         parts.iter().enumerate().for_each(|(i, &cell)| number[cell] = i as u32);

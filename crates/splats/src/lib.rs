@@ -325,6 +325,16 @@ impl Splats {
         Ok(self)
     }
 
+    /// The same splats with what the file of `other` had beside the parameters.
+    ///
+    /// # Panics
+    /// If `other` has another number of splats, or another degree.
+    #[must_use]
+    pub fn with_layout_of(self, other: &Self) -> Self {
+        assert_eq!((self.len(), self.degree), (other.len(), other.degree), "splats and degree of a layout");
+        Self { layout: other.layout.clone(), ..self }
+    }
+
     fn with_comments(mut self, comments: Vec<String>) -> Self {
         self.layout.comments = comments;
         self

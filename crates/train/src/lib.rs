@@ -59,7 +59,7 @@ pub use octobayes_data::Selection;
 pub use pixel_gradient::{PixelGradient, PixelGradients};
 pub use quality::{Quality, one_color, quality, quality_within};
 pub use run::{Budget, Description, Finished, Progress, Run, StateFile, Training};
-pub use splats::{Rates, SplatOrigin, SplatSettings, SplatTrainer, box_of_points};
+pub use splats::{Rates, Refitted, SplatOrigin, SplatSettings, SplatTrainer, box_of_points, refit};
 pub use trainer::{StepReport, Trainer};
 pub use views::{DatasetFiles, Shot};
 

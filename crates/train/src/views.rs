@@ -34,6 +34,29 @@ pub struct Shot {
 }
 
 impl Shot {
+    /// Loads the pictures of frames, [shrunk](Self::shrunk) to the size that a camera is to have.
+    ///
+    /// # Errors
+    /// As [`PosedImage::of`] and [`Shot::shrunk`], of which sizes are checked before an image is read, and
+    /// [`Error::Interrupted`].
+    pub fn load(frames: &[Frame], size: impl Fn(&Camera) -> [u32; 2], monitor: &dyn Monitor) -> Result<Vec<Self>> {
+        for frame in frames {
+            check_size(&frame.name, &frame.camera, size(&frame.camera))?;
+        }
+        monitor.begin("images", frames.len() as u64);
+        let masks = read_masks(frames)?;
+        let shot = |(frame, mask): (&Frame, Option<Mask>)| {
+            check(monitor)?;
+            let image = PosedImage::of(frame)?;
+            monitor.advance(1);
+            let shot = Self { name: frame.name.clone(), camera: frame.camera, image, mask };
+            shot.shrunk(size(&frame.camera))
+        };
+        let shots = frames.iter().zip(masks).map(shot).collect();
+        monitor.end();
+        shots
+    }
+
     /// The camera with its name, without the picture.
     #[must_use]
     pub fn named_camera(&self) -> NamedCamera {
@@ -214,26 +237,12 @@ impl DatasetFiles {
     /// # Errors
     /// As [`DatasetFiles::load`] and [`Shot::shrunk`]; sizes are checked before an image is read.
     pub fn load_at(&self, size: impl Fn(&Camera) -> [u32; 2], monitor: &dyn Monitor) -> Result<[Vec<Shot>; 2]> {
-        for frame in self.train.iter().chain(&self.held_out) {
-            check_size(&frame.name, &frame.camera, size(&frame.camera))?;
-        }
-        monitor.begin("images", (self.train.len() + self.held_out.len()) as u64);
-        let load = |frames: &[Frame]| {
-            let masks = read_masks(frames)?;
-            let shot = |(frame, mask): (&Frame, Option<Mask>)| {
-                check(monitor)?;
-                let image = PosedImage::read(&frame.image, frame.camera.resolution)?;
-                monitor.advance(1);
-                let shot = Shot { name: frame.name.clone(), camera: frame.camera, image, mask };
-                shot.shrunk(size(&frame.camera))
-            };
-            frames.iter().zip(masks).map(shot).collect::<Result<Vec<_>>>()
-        };
-        let shots = [load(&self.train)?, load(&self.held_out)?];
-        let masks: Vec<Option<Mask>> = shots[0].iter().map(|shot| shot.mask.clone()).collect();
+        let (frames, train) = ([&self.train[..], &self.held_out].concat(), self.train.len());
+        let mut shots = Shot::load(&frames, size, monitor)?;
+        let held_out = shots.split_off(train);
+        let masks: Vec<Option<Mask>> = shots.iter().map(|shot| shot.mask.clone()).collect();
         check_masks(&self.path, &masks)?;
-        monitor.end();
-        Ok(shots)
+        Ok([shots, held_out])
     }
 }
 

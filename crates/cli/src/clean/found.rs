@@ -10,11 +10,12 @@ use octobayes_clean::{Cleaned, Reason, Strength};
 use serde_json::{Value, json};
 
 /// The colour of each [`Reason`], in their order.
-pub const TINTS: [(&str, Vec3); 4] = [
+pub const TINTS: [(&str, Vec3); Reason::ALL.len()] = [
     ("red", Vec3::new(0.9, 0.1, 0.1)),
     ("blue", Vec3::new(0.1, 0.3, 0.9)),
     ("violet", Vec3::new(0.6, 0.1, 0.8)),
     ("orange", Vec3::new(0.95, 0.6, 0.0)),
+    ("green", Vec3::new(0.0, 0.6, 0.3)),
 ];
 
 /// The grey of what stays, from its colour.
@@ -119,8 +120,8 @@ pub fn write_report(path: &Path, found: &dyn Found) -> Result<()> {
     let mut table = csv::Writer::from_writer(AtomicFile::create(path)?);
     let part = found.parts().trim_end_matches('s');
     let head = [part, "x", "y", "z", "reason", "strength", "score", "front_share", "weight", "peak", "views"];
-    table.write_record(head).map_err(failed)?;
-    let Cleaned { removals, evidence: of, scores, .. } = found.cleaned();
+    let Cleaned { removals, evidence: of, scores, uncertainty, .. } = found.cleaned();
+    table.write_record(head.into_iter().chain(uncertainty.as_ref().map(|_| "uncertainty"))).map_err(failed)?;
     for (i, removal) in removals.iter().enumerate() {
         let [x, y, z] = found.center(i).to_array().map(|v| v.to_string());
         let (reason, strength) = removal.map_or(("kept", ""), |r| (r.reason.name(), r.strength.name()));
@@ -137,7 +138,8 @@ pub fn write_report(path: &Path, found: &dyn Found) -> Result<()> {
             format!("{:.4}", of.peak[i]),
             of.views[i].to_string(),
         ];
-        table.write_record(row).map_err(failed)?;
+        let uncertainty = uncertainty.as_ref().map(|u| format!("{:.4e}", u[i]));
+        table.write_record(row.into_iter().chain(uncertainty)).map_err(failed)?;
     }
     let file = table.into_inner().map_err(|e| Error::io(path, "cannot write")(e.into_error()))?;
     file.commit()

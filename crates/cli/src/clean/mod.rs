@@ -3,6 +3,7 @@
 mod found;
 mod page;
 mod picture;
+mod refit;
 mod splats;
 mod volume;
 
@@ -13,21 +14,34 @@ use serde_json::json;
 
 use self::found::{Found, announce_counts, check_strength, counts, write_report};
 use self::picture::Pictures;
+use self::refit::Refit;
 use self::splats::FoundSplats;
-use self::volume::{FoundVolume, Kind};
+use self::volume::FoundVolume;
 use super::files::CommandFiles;
+use super::opened::{baked, open_field};
 use super::options::{CameraOptions, FrameOptions, ModelArgument, TrainingOptions, choice, count, heading};
 use super::progress::Bars;
 use super::streams::tell;
 use octobayes::monitor::Message;
+use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
-use octobayes_clean::{Clean, Strength};
+use octobayes_clean::{Baking, Clean, Cleaned, Strength, VolumeFile};
 use octobayes_data::Part;
-use octobayes_session::{CheckedViews, Choices, OpenedModel, Session};
+use octobayes_session::{CheckedViews, Choices, OpenedModel, Session, Threshold};
 use octobayes_splats::Splats;
 
 /// Level of the grid over which the cameras are checked; no field is computed.
 const LEVEL: u8 = 6;
+
+octobayes::choices! {
+    /// What decides what goes.
+    #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+    pub enum By {
+        #[default]
+        Views = "views", "what the training views show";
+        Uncertainty = "uncertainty", "U of FIELD.oct alone, as in the paper: 99.9 %, 99 % or 95 % of visible surfaces stay";
+    }
+}
 
 /// Remove floaters, and what no camera saw, from Gaussian splats or a volume
 ///
@@ -48,6 +62,10 @@ pub struct Args {
     #[command(flatten)]
     model: ModelArgument,
 
+    /// A field of the model: its U becomes a column, and may say what goes (`--by uncertainty`)
+    #[arg(value_name = "FIELD.oct", help_heading = heading::INPUT)]
+    field: Option<PathBuf>,
+
     #[command(flatten)]
     cameras: CameraOptions,
 
@@ -65,6 +83,14 @@ pub struct Args {
         help_heading = heading::STATISTICS,
     )]
     strength: Strength,
+
+    /// What decides
+    #[arg(long, value_parser = choice::<By>(), default_value = By::default().name(), help_heading = heading::STATISTICS)]
+    by: By,
+
+    /// Train the splats that are left for N steps on the images beside the cameras; none is added
+    #[arg(long, value_name = "STEPS", value_parser = count::<u64>(1..=1_000_000), help_heading = heading::OUTPUT)]
+    refit: Option<u64>,
 
     /// Pixels of all views together that are looked at; each takes 12 bytes for every splat or cell that it shows
     #[arg(
@@ -85,7 +111,7 @@ pub struct Args {
     #[arg(
         long,
         value_name = "N",
-        default_value_t = 256,
+        default_value_t = Baking::POINTS,
         value_parser = count::<u32>(2..=1024),
         help_heading = heading::OUTPUT,
         hide_short_help = true,
@@ -122,6 +148,7 @@ impl Args {
         let has_removed = self.removed.is_some() || octobayes_models::is_of_splats(&self.model.model);
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
+            .inputs("FIELD", &self.field)
             .cameras(self.cameras.cameras.as_deref())
             .output("--output", &self.output)
             .outputs("--removed", has_removed.then_some(&removed))
@@ -133,12 +160,24 @@ impl Args {
             let expected = "a name that ends in `.ply`, but not in `.compressed.ply`, which has no place for reasons";
             return Err(Error::setting("--removed", expected, removed.display().to_string()));
         }
-        let model =
-            OpenedModel::for_cameras(&self.model.model, self.cameras.cameras.is_some(), self.training.splat_mode)?;
+        let field = self.field.as_deref().map(open_field).transpose()?;
+        if self.by == By::Uncertainty && field.is_none() {
+            return Err(Error::setting("--by uncertainty", "FIELD.oct after MODEL: `octobayes uncertainty`", "none"));
+        }
+        let model = match field.as_ref().zip(self.field.as_ref()) {
+            Some((field, path)) => {
+                OpenedModel::of_field(field, path, &self.model.model, self.training.force, &mut tell)?
+            }
+            None => {
+                let has_cameras = self.cameras.cameras.is_some();
+                OpenedModel::for_cameras(&self.model.model, has_cameras, self.training.splat_mode)?
+            }
+        };
         let splats = Splats::of(&*model.model);
-        let kind = self.check_output(&model, splats)?;
+        let file = self.check_output(&model, splats)?;
         let cameras = self.cameras.training(&self.frames, Some(&*model.model), &self.model.model)?;
         files.images(&cameras.views).check()?;
+        let refit = self.refit.map(|steps| Refit::new(&cameras.views, steps)).transpose()?;
         let background = self.training.background.unwrap_or(Vec3::ONE);
         let (domain, messages) = model.model.covered(&cameras.views.cameras(), background, bars)?;
         // Its notes are about a field, which there is none of.
@@ -156,40 +195,70 @@ impl Args {
             .pixel_offset(views.pixel_offset)
             .pixels(self.pixels)
             .monitor(bars);
-        match (splats, kind) {
+        match (splats, &file) {
             (Some(splats), _) => {
-                let found = FoundSplats { splats, cleaned: clean.splats(splats)? };
+                let cleaned = self.with_field(clean.splats(splats)?, splats.means(), field.as_ref())?;
+                let found = FoundSplats { splats, cleaned };
                 check_strength(&found, self.strength)?;
                 found.write(self.strength, &self.output, &removed)?;
+                if let Some(refit) = &refit {
+                    // What is left is in its file already: an interruption loses no more than these steps.
+                    let trained = refit.run(&found.part(self.strength, false)?, views.background, bars);
+                    let trained = trained.inspect_err(|_| {
+                        announce!("note: {} holds what is left, without training", self.output.display());
+                    })?;
+                    found.write_left(&trained, self.strength, &self.output)?;
+                }
                 self.show(&found, &views, bars)?;
                 self.print(&found, Some(&removed))
             }
-            (None, kind) => {
-                let (model, kind) = (&*model.model, kind.expect("a kind of volume"));
-                let field = octobayes_models::volume(model, &self.model.model)?;
-                let found = clean.volume(model, kind.cells(model)?)?;
-                let eyes = views.cameras.iter().map(|camera| camera.position.as_vec3()).collect();
-                let found = FoundVolume { model, field, kind, found, eyes };
+            (None, file) => {
+                let clean = clean.hidden(self.by == By::Uncertainty);
+                let (model, file) = (&*model.model, file.as_ref().expect("the file of a volume"));
+                let density = octobayes_models::volume(model, &self.model.model)?;
+                let mut found = clean.volume(model, file.cells(model, self.points)?)?;
+                let centers = found.centers();
+                found.cleaned = self.with_field(found.cleaned, &centers, field.as_ref())?;
+                let found = FoundVolume { model, field: density, file, found };
                 check_strength(&found, self.strength)?;
-                found.write(self.strength, &self.output, bars)?;
+                let eyes: Vec<Vec3> = views.cameras.iter().map(|camera| camera.position.as_vec3()).collect();
+                let baking = Baking { model, points: self.points, eyes: &eyes };
+                file.write(&found.found, self.strength, &self.output, &baking, bars)?;
                 self.show(&found, &views, bars)?;
                 self.print(&found, None)
             }
         }
     }
 
-    /// Refuses a file that cannot hold what is left, and says what it will lose. Which file it is, of a volume.
-    fn check_output(&self, model: &OpenedModel, splats: Option<&Splats>) -> Result<Option<Kind>> {
+    /// What goes, once a field is there.
+    fn with_field(&self, cleaned: Cleaned, centers: &[Vec3], field: Option<&UncertaintyField>) -> Result<Cleaned> {
+        let Some(field) = field else { return Ok(cleaned) };
+        let cleaned = cleaned.with_field(centers, field);
+        if self.by == By::Views {
+            return Ok(cleaned);
+        }
+        let field = baked(field, 0);
+        let [careful, normal, strong] = Cleaned::SURFACES.map(|share| Threshold::Share(share).log10(&field, &mut tell));
+        Ok(cleaned.by_uncertainty([careful?, normal?, strong?]))
+    }
+
+    /// Refuses a file that cannot hold what is left, and says what it will lose. The model's own file, of a volume.
+    fn check_output(&self, model: &OpenedModel, splats: Option<&Splats>) -> Result<Option<VolumeFile>> {
         let Some(splats) = splats else {
+            if let Some(steps) = self.refit {
+                let expected = "Gaussian splats; a volume is trained by `octobayes train`";
+                return Err(Error::setting("--refit", expected, format!("{steps} steps of {}", model.name)));
+            }
             if let Some(path) = &self.removed {
                 let expected = "Gaussian splats; the file of a volume stays as it is";
                 return Err(Error::setting("--removed", expected, format!("{} of {}", path.display(), model.name)));
             }
-            let kind = Kind::new(model, &self.output, self.points as usize)?;
-            if let Some(lost) = kind.loses(&*model.model) {
+            let file = VolumeFile::of(&model.name)?;
+            let baking = Baking { model: &*model.model, points: self.points, eyes: &[] };
+            if let Some(lost) = file.not_kept(&self.output, &baking)? {
                 tell(Message::Warning(format!("{} has no place for {lost}", self.output.display())));
             }
-            return Ok(Some(kind));
+            return Ok(Some(file));
         };
         for lost in splats.not_kept(&self.output)? {
             tell(Message::Warning(format!("{} has no place for {lost}", self.output.display())));

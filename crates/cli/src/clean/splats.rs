@@ -52,7 +52,7 @@ impl Found for FoundSplats<'_> {
 
 impl FoundSplats<'_> {
     /// The splats that go at a strength, or those that stay.
-    fn part(&self, strength: Strength, goes: bool) -> Result<Splats> {
+    pub fn part(&self, strength: Strength, goes: bool) -> Result<Splats> {
         self.splats.clone().keep(&self.chosen(strength, goes))
     }
 
@@ -64,17 +64,22 @@ impl FoundSplats<'_> {
     pub fn write(&self, strength: Strength, output: &Path, removed: &Path) -> Result<()> {
         // What was removed first: nothing is lost if the disk is full.
         if self.chosen(strength, true).contains(&true) {
-            self.write_columns(removed, strength, true)?;
+            self.write_columns(removed, &self.part(strength, true)?, strength, true)?;
         }
+        self.write_left(&self.part(strength, false)?, strength, output)
+    }
+
+    /// Writes the splats that stay, which may have been trained since.
+    pub fn write_left(&self, left: &Splats, strength: Strength, output: &Path) -> Result<()> {
         if Splats::takes_columns(output) {
-            self.write_columns(output, strength, false)
+            self.write_columns(output, left, strength, false)
         } else {
-            self.part(strength, false)?.write(output)
+            left.write(output)
         }
     }
 
     /// Writes splats with columns of what the views show of them.
-    fn write_columns(&self, path: &Path, strength: Strength, goes: bool) -> Result<()> {
+    fn write_columns(&self, path: &Path, splats: &Splats, strength: Strength, goes: bool) -> Result<()> {
         let Self { cleaned, .. } = self;
         let chosen = self.chosen(strength, goes);
         let of = |value: &dyn Fn(usize) -> f64| -> Vec<f32> {
@@ -90,12 +95,19 @@ impl FoundSplats<'_> {
         let comments = [format!(
             "octobayes {version} clean --strength {strength}: octobayes_reason = 0 kept, {}; front_share = part of the \
              splat's weight in front of what the pixels show, and in empty pixels once a view contradicts it; \
-             octobayes_score = how far the views contradict it, at most 1; views = training views that show it",
-            names.join(", ")
+             octobayes_score = how far the views contradict it, at most 1; views = training views that show it{}",
+            names.join(", "),
+            cleaned.uncertainty.as_ref().map_or("", |_| "; uncertainty = U of its centre in the field")
         )];
-        let columns: [(&str, &[f32]); 4] =
-            [("octobayes_reason", &reason), ("octobayes_score", &score), ("front_share", &front), ("views", &views)];
-        self.part(strength, goes)?.write_ply(path, &columns, &comments)
+        let uncertainty = cleaned.uncertainty.as_ref().map(|u| of(&|i| u[i]));
+        let mut columns: Vec<(&str, &[f32])> = vec![
+            ("octobayes_reason", &reason),
+            ("octobayes_score", &score),
+            ("front_share", &front),
+            ("views", &views),
+        ];
+        columns.extend(uncertainty.as_ref().map(|u| ("uncertainty", &u[..])));
+        splats.write_ply(path, &columns, &comments)
     }
 }
 

@@ -17,7 +17,6 @@ use octobayes::io::AtomicFile;
 use octobayes::io::place::folder_of;
 use octobayes::{Error, Result};
 use octobayes_data::{image_path, inria_text, transforms_text};
-use octobayes_session::scaled;
 use octobayes_train::{
     Budget, DatasetFiles, Finished, Quality, Run, Shot, SplatOrigin, SplatSettings, SplatTrainer, StateFile, Training,
     box_of_points,
@@ -27,11 +26,6 @@ use octobayes_train::{
 const LOOK: usize = 20 * LOOK_PIXELS;
 /// Pixels of images that are compared at the end.
 const TEST: usize = 500 * LOOK_PIXELS;
-
-/// Width and pixels to which larger images are shrunk unless --resolution has another size: the original code's width,
-/// and a little less than the most pixels.
-const WIDTH: f64 = 1600.0;
-const PIXELS: f64 = 3.9e6;
 
 /// What the comment begins with by which a model names the files beside it.
 const BESIDE: &str = "checksums of cameras.json and transforms.json: ";
@@ -203,12 +197,7 @@ impl Args {
 
     /// The size at which the images of a camera are trained on.
     fn size(&self, camera: &Camera) -> [u32; 2] {
-        if let Some(resolution) = self.resolution {
-            return resolution.apply(camera).resolution;
-        }
-        let [w, h] = camera.resolution.map(f64::from);
-        let scale = (WIDTH / w).min((PIXELS / (w * h)).sqrt());
-        if scale < 1.0 { scaled(camera, scale).resolution } else { camera.resolution }
+        self.resolution.map_or_else(|| SplatTrainer::size(camera), |resolution| resolution.apply(camera).resolution)
     }
 
     fn state(

@@ -132,7 +132,7 @@ fn what_cannot_be_cleaned_is_refused_with_the_way_out() {
     desk.refused(&format!("{RUN} -o a.ply --removed a.ply"), &["a file of its own"]);
     desk.refused(&format!("{RUN} -o a.ply --removed a.spz"), &["--removed: expected a name that ends in `.ply`"]);
     let of_volume = "clean scene:ball --cameras transforms.json";
-    desk.refused(&format!("{of_volume} -o a.ply"), &["--output: expected `.npz`", "found a.ply of scene:ball"]);
+    desk.refused(&format!("{of_volume} -o a.ply"), &["--output: expected `.npz`", "found a.ply"]);
     desk.refused(&format!("{of_volume} -o a.safetensors"), &["`.safetensors` of a hash grid of `train`"]);
     desk.refused(&format!("{of_volume} -o a.npz --removed b.ply"), &["--removed: expected Gaussian splats"]);
     // Cameras that look away see nothing.
@@ -148,6 +148,68 @@ fn what_cannot_be_cleaned_is_refused_with_the_way_out() {
         &["cameras: expected rays that meet"],
     );
     assert!(!desk.join("a.ply").exists());
+}
+
+#[test]
+fn what_is_left_is_trained_further_on_the_images() {
+    let desk = Desk::empty();
+    let gem = "v 1 0 0\nv -1 0 0\nv 0 1 0\nv 0 -1 0\nv 0 0 1\nv 0 0 -1\nf 1 3 5\nf 3 2 5\nf 2 4 5\nf 4 1 5\nf 3 1 6\n\
+               f 2 3 6\nf 4 2 6\nf 1 4 6\n";
+    std::fs::write(desk.join("gem.obj"), gem).unwrap();
+    desk.good("synth gem.obj -o gem --count 6 --test-count 1 --resolution 40 --up z");
+    std::fs::create_dir(desk.join("splats")).unwrap();
+    desk.good("train gem --splats --steps 200 -o splats/gem.ply");
+    let trained = read(&desk, "splats/gem.ply");
+    let number: Vec<f32> = (0..trained.len()).map(|i| i as f32).collect();
+    trained.write_ply(&desk.join("gem.ply"), &[("number", &number)], &[]).unwrap();
+    let run = "clean gem.ply --strength strong --cameras";
+    let said = desk.said(&format!("{run} gem/transforms_train.json -o refit.ply --refit 60"));
+    let psnr = said.split_once("60 steps of training: PSNR ").unwrap().1;
+    let [before, after] = [0, 2].map(|word| psnr.split(' ').nth(word).unwrap().parse::<f64>().unwrap());
+    assert!(after > before, "{said}");
+    desk.good(&format!("{run} gem/transforms_train.json -o plain.ply"));
+    // The same splats in the same order with other numbers.
+    let (plain, refit) = (read(&desk, "plain.ply"), read(&desk, "refit.ply"));
+    assert!(plain.len() < trained.len());
+    assert_eq!(plain.extra("number"), refit.extra("number"));
+    assert_eq!(plain.extra_names(), refit.extra_names());
+    assert!((0..plain.len()).all(|i| plain.sh(i) != refit.sh(i)));
+    desk.refused(&format!("{run} splats/cameras.json -o a.ply --refit 9"), &["--refit: expected cameras with their"]);
+    let of_volume = "clean scene:ball --cameras gem/transforms_train.json -o a.npz --refit 9";
+    desk.refused(of_volume, &["--refit: expected Gaussian splats"]);
+}
+
+#[test]
+fn a_field_adds_a_column_and_may_decide_alone() {
+    let desk = desk();
+    desk.good(&RUN.replace("clean scene.ply", "uncertainty scene.ply -o scene.oct --level 5 --rays 20000"));
+    let run = RUN.replace("scene.ply", "scene.ply scene.oct");
+    desk.good(&format!("{run} -o views.ply --report views.csv"));
+    desk.good(&format!("{RUN} -o plain.ply"));
+    let (views, plain) = (read(&desk, "views.ply"), read(&desk, "plain.ply"));
+    // The column says nothing of what goes.
+    assert_eq!(views.means(), plain.means());
+    assert!(views.extra_names().contains(&"uncertainty") && !plain.extra_names().contains(&"uncertainty"));
+    let report = std::fs::read_to_string(desk.join("views.csv")).unwrap();
+    let uncertainties: Vec<f64> =
+        report.lines().skip(1).map(|row| row.rsplit(',').next().unwrap().parse().unwrap()).collect();
+    assert_eq!(uncertainties.len(), 930);
+    // By U alone those go that have the largest, at any strength.
+    for strength in ["careful", "strong"] {
+        let said = desk.said(&format!("{run} -o u.ply --by uncertainty --strength {strength}"));
+        let share = if strength == "careful" { "99.9%" } else { "95%" };
+        let limit = said.split_once("log10 U is at most ").unwrap().1;
+        assert!(limit.contains(&format!("on {share} of the visible surfaces")), "{said}");
+        let (kept, gone) = (read(&desk, "u.ply"), read(&desk, "u.removed.ply"));
+        let range = |splats: &Splats| {
+            let u = splats.extra("uncertainty").unwrap();
+            [u.iter().copied().fold(f64::INFINITY, f64::min), u.iter().copied().fold(0.0, f64::max)]
+        };
+        assert_eq!(kept.len() + gone.len(), 930);
+        assert!(range(&kept)[1] <= range(&gone)[0], "{strength}");
+        assert!(gone.extra("octobayes_reason").unwrap().iter().all(|reason| *reason == 5.0));
+    }
+    desk.refused(&format!("{RUN} -o a.ply --by uncertainty"), &["--by uncertainty: expected FIELD.oct"]);
 }
 
 /// A ball of voxels, and thin fog beside it, which all cameras look through at the ball or past it.

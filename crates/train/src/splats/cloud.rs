@@ -4,7 +4,7 @@ use glam::{Quat, Vec3};
 
 use octobayes::Result;
 use octobayes::field::harmonics::C0;
-use octobayes_splats::{MAX_DEGREE, RenderMode, Splats};
+use octobayes_splats::{RenderMode, Splats};
 
 /// Where a row has its parts: centre, logarithms of the standard deviations, rotation (x, y, z, w), logit of the
 /// opacity, spherical harmonics (red, green and blue of each coefficient).
@@ -39,18 +39,19 @@ pub fn constant_of(color: Vec3) -> Vec3 {
     (color - 0.5) / C0 as f32
 }
 
-/// The splats of these rows.
+/// The splats of these rows, with the spherical harmonics up to a degree.
 ///
 /// # Errors
 /// If a number is not finite.
-pub fn splats(rows: &[Row]) -> Result<Splats> {
+pub fn splats(rows: &[Row], degree: u8) -> Result<Splats> {
+    let coefficients = SH..SH + 3 * (usize::from(degree) + 1).pow(2);
     Splats::new(
         rows.iter().map(|row| three(row, MEAN)).collect(),
         rows.iter().map(|row| three(row, SCALE)).collect(),
         rows.iter().map(|row| rotation(row).normalize()).collect(),
         rows.iter().map(|row| row[LOGIT]).collect(),
-        rows.iter().flat_map(|row| row[SH..].iter().copied()).collect(),
-        MAX_DEGREE,
+        rows.iter().flat_map(|row| row[coefficients.clone()].iter().copied()).collect(),
+        degree,
         RenderMode::Classic,
     )
 }
@@ -71,6 +72,8 @@ pub fn rows(splats: &Splats) -> Vec<Row> {
 
 #[cfg(test)]
 mod tests {
+    use octobayes_splats::MAX_DEGREE;
+
     use super::*;
 
     #[test]
@@ -79,7 +82,7 @@ mod tests {
         let mut row: Row = std::array::from_fn(number);
         let unit = rotation(&row).normalize().to_array();
         row[ROTATION..LOGIT].copy_from_slice(&unit);
-        let found = rows(&splats(&[row]).unwrap())[0];
+        let found = rows(&splats(&[row], MAX_DEGREE).unwrap())[0];
         // The rotation is normalised once more.
         assert!(found.iter().zip(row).all(|(found, expected)| (found - expected).abs() <= 2.0 * f32::EPSILON));
     }

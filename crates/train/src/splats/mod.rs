@@ -12,12 +12,14 @@ mod loss;
 mod picture;
 mod project;
 mod raster;
+mod refit;
 mod start;
 mod state;
 #[cfg(test)]
 mod tests;
 mod trainer;
 
+pub use refit::{Refitted, refit};
 pub use start::{SplatOrigin, box_of_points};
 pub use trainer::SplatTrainer;
 

@@ -43,7 +43,7 @@ fn near() -> Camera {
 fn images_are_those_of_the_renderer() {
     let rows = cloud(600);
     let image = Picture::new(&rows, &near(), MAX_DEGREE).image(BACKGROUND);
-    let splats = splats(&rows).unwrap();
+    let splats = splats(&rows, MAX_DEGREE).unwrap();
     let renderer = SplatRenderer::new(&splats, BACKGROUND);
     let view = renderer.image(&near(), 0.5, &[], &[], &Silent).unwrap();
     let mut away: Vec<f64> = (image.iter().zip(&view.pixels))
@@ -79,7 +79,7 @@ fn gradients_are_those_of_the_reference() {
     // Rounding of f64, 1e-16 / H, and H² of third derivatives of lengths near 0.01: 1e-8 of the gradient each.
     const H: f64 = 1e-6;
     let (rows, camera) = (cloud(60), near());
-    let slow = gaussians(&splats(&rows).unwrap());
+    let slow = gaussians(&splats(&rows, MAX_DEGREE).unwrap());
     let picture = Picture::new(&rows, &camera, MAX_DEGREE);
     let image = picture.image(BACKGROUND);
     // A linear loss of some pixels.

@@ -24,6 +24,9 @@ use octobayes_splats::{MAX_DEGREE, SplatRenderer, Splats};
 
 /// Most pixels of an image: every splat is drawn on all tiles that it touches, which takes memory.
 pub(super) const MAX_IMAGE_PIXELS: u64 = 4_000_000;
+/// Width and pixels to which larger images are shrunk.
+const WIDTH_OF_IMAGES: f64 = 1600.0;
+const PIXELS_OF_IMAGES: f64 = 3.9e6;
 /// Decays of Adam's moments, and what keeps its steps finite: those of the original code.
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
@@ -50,6 +53,8 @@ pub struct SplatTrainer<'a> {
     pub(super) asked: Vec<Asked>,
     extent: f32,
     origin: SplatOrigin,
+    /// Highest degree of the spherical harmonics.
+    degree: u8,
     pub(super) steps: u64,
 }
 
@@ -69,28 +74,41 @@ impl<'a> SplatTrainer<'a> {
             return Err(Error::setting("most splats", "at least one", "0"));
         }
         let first = settings.most.div_ceil(MOST_PER_START);
-        Ok(Self::start(settings, Start::new(shots, bounds, points, first, settings.seed), shots))
+        Ok(Self::start(settings, Start::new(shots, bounds, points, first, settings.seed), MAX_DEGREE, shots))
     }
 
-    /// Goes on with splats that were trained before, which are all there is at the start.
+    /// Goes on with splats that were trained before, of as high a degree.
     ///
     /// # Errors
     /// As [`SplatTrainer::new`].
     ///
     /// # Panics
     /// If there are no shots.
-    #[doc(hidden)]
-    pub fn from_splats(settings: SplatSettings, bounds: Aabb, splats: &Splats, shots: &'a [Shot]) -> Result<Self> {
+    pub(super) fn from_splats(
+        settings: SplatSettings,
+        bounds: Aabb,
+        splats: &Splats,
+        shots: &'a [Shot],
+    ) -> Result<Self> {
         assert!(!shots.is_empty(), "no images to train on");
         Self::check_cameras(&shots.iter().map(|shot| shot.camera).collect::<Vec<_>>())?;
         let (rows, extent) = (cloud::rows(splats), 0.5 * bounds.longest_edge() as f32);
-        Ok(Self::start(settings, Start { rows, extent, origin: SplatOrigin::Box }, shots))
+        Ok(Self::start(settings, Start { rows, extent, origin: SplatOrigin::Box }, splats.degree(), shots))
     }
 
-    fn start(settings: SplatSettings, Start { rows, extent, origin }: Start, shots: &'a [Shot]) -> Self {
+    fn start(settings: SplatSettings, Start { rows, extent, origin }: Start, degree: u8, shots: &'a [Shot]) -> Self {
         let zeros = vec![[0.0; WIDTH]; rows.len()];
         let asked = vec![[0.0; 2]; rows.len()];
-        Self { settings, shots, means: zeros.clone(), squares: zeros, asked, rows, extent, origin, steps: 0 }
+        Self { settings, shots, means: zeros.clone(), squares: zeros, asked, rows, extent, origin, degree, steps: 0 }
+    }
+
+    /// The size at which images of a camera are trained on unless another is asked for: at most as wide as in the
+    /// original code, and a little less than the most pixels.
+    #[must_use]
+    pub fn size(camera: &Camera) -> [u32; 2] {
+        let [w, h] = camera.resolution.map(f64::from);
+        let scale = (WIDTH_OF_IMAGES / w).min((PIXELS_OF_IMAGES / (w * h)).sqrt()).min(1.0);
+        camera.resolution.map(|side| (f64::from(side) * scale).round().max(1.0) as u32)
     }
 
     /// Refuses cameras that splats cannot be trained on.
@@ -125,7 +143,7 @@ impl<'a> SplatTrainer<'a> {
     /// # Errors
     /// If a parameter is not finite.
     pub fn splats(&self) -> Result<Splats> {
-        cloud::splats(&self.rows)
+        cloud::splats(&self.rows, self.degree)
     }
 
     /// Takes one step when `share` of the run is done. Returns the mean absolute and the mean squared error of colours,
@@ -133,7 +151,7 @@ impl<'a> SplatTrainer<'a> {
     pub fn step(&mut self, share: f64) -> [f64; 2] {
         let shot = self.next_shot();
         let background = self.next_background();
-        let picture = Picture::new(&self.rows, &shot.camera, degree(share));
+        let picture = Picture::new(&self.rows, &shot.camera, degree(share).min(self.degree));
         let image = picture.image(background);
         let loss = loss(shot, background, &image);
         let gradients = picture.pull_back(&self.rows, &image, &loss.by_pixel);

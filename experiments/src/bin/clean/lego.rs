@@ -3,9 +3,12 @@
 use std::path::Path;
 
 use glam::DVec3;
+use octobayes::geometry::Camera;
+use octobayes::monitor::Silent;
 use octobayes::{Error, Result};
 use octobayes_data::Views;
 use octobayes_splats::Splats;
+use octobayes_train::Shot;
 
 use common::program::Program;
 use common::surface::Place;
@@ -65,6 +68,18 @@ pub fn judged(model: &str) -> Result<Judged> {
     let place = |x: &glam::Vec3| if is_free(x.as_dvec3()) { Place::Air } else { Place::Surface };
     let places = splats.means().iter().map(place).collect();
     Ok(Judged { splats, cameras, places, truth: Truth { held_out: views, slack: SLACK, length: LENGTH } })
+}
+
+/// The images that a model was trained on.
+pub fn shots(cameras: &[Camera]) -> Result<Vec<Shot>> {
+    let path = Program::data()?.join("nerf-lego-400/transforms_train.json");
+    let mut frames = Views::read(&path, cameras.first().map(|camera| camera.resolution))?.frames;
+    frames.retain(|frame| cameras.iter().any(|own| own.position.distance(frame.camera.position) < 1e-3));
+    if frames.len() != cameras.len() {
+        let expected = format!("the {} cameras of the model", cameras.len());
+        return Err(Error::malformed(&path, "frames", expected, frames.len().to_string()));
+    }
+    Shot::load(&frames, |camera| camera.resolution, &Silent)
 }
 
 /// Pixels of red, green, blue and alpha.

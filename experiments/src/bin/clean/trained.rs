@@ -44,12 +44,9 @@ pub const VIEWS: [Views; 3] = [
     Views { name: "12 of one side", count: 12, is_half: true },
 ];
 
-/// Part of a run that is done where splats are trained further: the number of splats stays then.
-const DONE: f64 = 0.7;
-
 /// Images of a mesh, and what is known of it.
 pub struct Scene {
-    shots: Vec<Shot>,
+    pub shots: Vec<Shot>,
     bounds: Aabb,
     mesh: MeshScene,
     pub truth: Truth,
@@ -92,16 +89,6 @@ impl Scene {
         let run = Run { budget: Budget::Steps(GRID_STEPS), held_out: &[], pixels: 0, looks: 0, state: None };
         run.train(&mut trainer, 0.0, &Silent, |_| {})?;
         Ok(trainer.field(serde_json::Value::Null))
-    }
-
-    /// Trains splats further, at the rates of the end of a run.
-    pub fn refit(&self, splats: &Splats, steps: u64, seed: u64) -> Result<Splats> {
-        let settings = SplatSettings::default().most(SplatSettings::most_for(&self.shots)).seed(seed);
-        let mut trainer = SplatTrainer::from_splats(settings, self.bounds, splats, &self.shots)?;
-        while trainer.steps() < steps {
-            trainer.step(DONE + (1.0 - DONE) * trainer.steps() as f64 / steps as f64);
-        }
-        trainer.splats()
     }
 }
 
