@@ -676,6 +676,7 @@ def evaluate(
     depth_encoding: tuple[float, float] | None = None,
     depth_pattern: str = DEFAULT.depth_pattern,
     z_depth: bool = False,
+    object_masks: str | os.PathLike[str] | None = None,
     training_depth: str | os.PathLike[str] | None = None,
     covariance: str | Sequence[str] | None = None,
     ray_average: str | Sequence[str] | None = None,
@@ -705,7 +706,8 @@ def evaluate(
     the model's box) are left out. A ``RuntimeWarning`` says how many and why, and whether depths are unlikely; a
     ``ValueError`` says so if nearly none is left, or if half of them are off by more than the box is wide.
 
-    training_depth: folder of the training views' maps; every measure then says how well it detects what no training
+    object_masks: folder of masks in which the object is not black, 'NAME.png' of each view; ``None`` for those that the
+    camera file names. training_depth: folder of the training views' maps; every measure then says how well it detects what no training
     view saw. ensemble: two or more models that were trained like this one, not callables. clean_up: also remove density
     (or splats) above ten thresholds of log10 U; alone, it needs no depth.
 
@@ -725,6 +727,7 @@ def evaluate(
     options = {
         **_image_options(nerf, background, march_step, pixel_offset, occupancy, first),
         **_held_out_options(cameras, depth, depth_encoding, depth_pattern, z_depth, stride, views, resolution),
+        "object_masks": None if object_masks is None else as_path("object_masks", object_masks),
         "training_depth": None if training_depth is None else as_path("training_depth", training_depth),
         "clean_up": flag("clean_up", clean_up),
         "ray_average": None if ray_average is None else names("ray_average", ray_average),

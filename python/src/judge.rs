@@ -51,6 +51,7 @@ pub fn evaluate(
     let selection = options.selection()?;
     let (name, settings) = (options.or("source", String::new())?, image_settings(&options)?);
     let (stride, training_depth) = (options.or("stride", Evaluation::STRIDE)?, options.get("training_depth")?);
+    let object_masks = options.get("object_masks")?;
     let (calibrate, clean_up) = (options.get("probability")?, options.or("clean_up", false)?);
     let (report, texts) = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
@@ -68,6 +69,7 @@ pub fn evaluate(
                 selection,
                 stride,
                 depth,
+                object_masks,
                 training_depth,
                 calibrate,
                 clean_up,

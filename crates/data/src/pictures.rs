@@ -167,6 +167,15 @@ pub fn read_masks(frames: &[Frame]) -> Result<Vec<Option<Mask>>> {
     frames.par_iter().map(read).collect()
 }
 
+/// Reads which pixels of a frame show the object, at the size of its camera, if that is known.
+///
+/// # Errors
+/// As [`read_masks`].
+pub fn read_object(frame: &Frame) -> Result<Option<Mask>> {
+    let read = |path: &PathBuf| Ok(MaskFile::Kept(path.clone()).read(frame.size)?.resized(frame.camera.resolution));
+    frame.object.as_ref().map(read).transpose()
+}
+
 /// Memory that it takes to decode the largest mask of these frames, bytes.
 #[must_use]
 pub fn memory_of_masks(frames: &[Frame]) -> u64 {

@@ -176,6 +176,7 @@ impl Reading<'_> {
             size: reference,
             mask: mask.map(MaskFile::Kept).or_else(|| MaskFile::beside(&image)),
             depth: below("depth_file_path", raw.depth_file_path)?,
+            object: below("object_mask_path", raw.object_mask_path)?,
             ..Frame::new(camera, name, image)
         })
     }

@@ -25,6 +25,8 @@ pub struct Frame {
     pub image: PathBuf,
     /// The depth map that the camera file names for this frame (`depth_file_path`).
     pub depth: Option<PathBuf>,
+    /// The picture of which pixels show the object (`object_mask_path`): those that are not black.
+    pub object: Option<PathBuf>,
     /// Which of its pixels the model was trained on, if not all.
     pub mask: Option<MaskFile>,
     /// The frame's purpose as the camera file states it.
@@ -54,7 +56,7 @@ impl Frame {
     #[must_use]
     pub fn new(camera: Camera, name: impl Into<String>, image: impl Into<PathBuf>) -> Self {
         let (name, image, size) = (name.into(), image.into(), camera.resolution);
-        Self { camera, name, index: 0, size, image, depth: None, mask: None, purpose: None }
+        Self { camera, name, index: 0, size, image, depth: None, object: None, mask: None, purpose: None }
     }
 }
 

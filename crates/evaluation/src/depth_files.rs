@@ -68,6 +68,16 @@ impl DepthFiles {
         Ok(FramesWithDepth { encoding, source: source.into(), files, frames })
     }
 
+    /// Finds the masks of the object of frames, as the maps in a folder.
+    ///
+    /// # Errors
+    /// If a frame has none.
+    pub(crate) fn find_object_masks(folder: &Path, frames: Vec<Frame>) -> Result<Vec<Frame>> {
+        let files = Self { folder: None, pattern: "{}.png".into(), scale: None, kind: DepthKind::default() };
+        let found = |frame: Frame| Ok(Frame { object: Some(files.find_in(folder, &frame)?), ..frame });
+        frames.into_iter().map(found).collect()
+    }
+
     /// The meaning of the maps that the camera file names.
     fn named(&self, cameras: &Path, frames: &[Frame]) -> Result<DepthEncoding> {
         let Some(first) = frames.iter().find_map(|frame| frame.depth.as_ref()) else {

@@ -26,6 +26,7 @@ mod depth_files;
 mod image_check;
 mod interval;
 mod judge;
+mod kinds;
 mod measure;
 pub mod metrics;
 mod report;
@@ -42,6 +43,7 @@ pub use depth_files::DepthFiles;
 pub use image_check::{ImageCheck, check_images, memory_of_images};
 pub use interval::Interval;
 pub use judge::{Evaluation, Judged, Prepared};
+pub use kinds::{JUMP, MeasureOfKind, OfKind, PixelKind, THIN};
 pub use measure::Reading;
 pub use report::{Inside, NeverSeen, Part, Report, Scored, ViewReport};
 pub use score::{ByError, DepthError, Score};
@@ -51,6 +53,8 @@ pub use training_images::{Compared, TrainingImages, compare_images};
 // The parts of an evaluation, for this crate's experiments.
 #[doc(hidden)]
 pub use depth_files::FramesWithDepth;
+#[doc(hidden)]
+pub use kinds::{Outline, TrueParts};
 #[doc(hidden)]
 pub use measure::{Baseline, Measure};
 #[doc(hidden)]

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use serde_json::Value;
 
-use super::{CleanUp, DepthError, EvaluatedView, Evaluation, Evaluator, Interval, Measure, Score};
+use super::{CleanUp, DepthError, EvaluatedView, Evaluation, Evaluator, Interval, Measure, OfKind, Score};
 use crate::metrics::{Calibration, Detection};
 use octobayes::estimate::facts;
 use octobayes::render::RayAverage;
@@ -55,6 +55,8 @@ pub struct Report {
     pub readings: Vec<Scored>,
     /// Measures without a Hessian.
     pub baselines: Vec<Scored>,
+    /// All of this for the pixels of one kind, of those that are known.
+    pub kinds: Vec<OfKind>,
     /// What the intervals of calibrated fields hold.
     pub conformal: Vec<Inside>,
     /// The interval that was calibrated on these views.
@@ -162,6 +164,7 @@ impl Report {
             }),
             readings: Vec::new(),
             baselines: Vec::new(),
+            kinds: Vec::new(),
             conformal: Vec::new(),
             calibrated: None,
             clean_up: Vec::new(),
@@ -198,6 +201,7 @@ impl Report {
                 self.conformal.push(Inside { name: reading.name.clone(), interval, share_inside });
             }
         }
+        self.kinds = OfKind::all(evaluator, views);
         Some(())
     }
 

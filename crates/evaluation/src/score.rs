@@ -22,6 +22,10 @@ pub struct ByError {
 pub struct Score {
     /// Area under the sparsification error, over the pixels of all views together.
     pub ause_pooled: ByError,
+    /// The same, where both curves are divided by their start ([`Sparsification::area_from_start`]).
+    pub ause_from_start: ByError,
+    /// [`Sparsification::rise`] over all pixels.
+    pub rise: ByError,
     /// Mean of the areas of single views.
     pub ause_mean_over_views: ByError,
     /// [`Sparsification::risk`] over all pixels.
@@ -62,6 +66,8 @@ impl Score {
         let correlations: Vec<f64> = views.iter().filter_map(correlation).collect();
         Some(Self {
             ause_pooled: pooled(|curve| curve.area),
+            ause_from_start: pooled(Sparsification::area_from_start),
+            rise: pooled(Sparsification::rise),
             ause_mean_over_views: ErrorKind::ALL.map(mean).into(),
             risk: pooled(Sparsification::risk),
             least_risk: pooled(Sparsification::least_risk),
@@ -89,7 +95,11 @@ impl DepthError {
     /// Collects the errors of all views; `None` if there are no pixels.
     #[must_use]
     pub fn new(views: &[EvaluatedView]) -> Option<Self> {
-        let mut errors: Vec<f64> = views.iter().flat_map(|v| &v.absolute_error).copied().collect();
+        Self::of(views.iter().flat_map(|v| &v.absolute_error).copied().collect())
+    }
+
+    /// Of these errors; `None` if there are none.
+    pub(crate) fn of(mut errors: Vec<f64>) -> Option<Self> {
         let n = errors.len();
         errors.sort_unstable_by(f64::total_cmp);
         (n > 0).then(|| Self {

@@ -75,6 +75,7 @@ fn truth(ball: &ClosedForm, camera: &Camera) -> TrueView {
         covered: (0..n).map(seen).collect(),
         distance: (0..n).map(|i| seen(i).then(|| view.pixels[i].median_depth - 0.01 * (i % width) as f64)).collect(),
         readings: DepthReadings::default(),
+        parts: TrueParts::default(),
     }
 }
 
@@ -111,6 +112,47 @@ fn what_no_training_camera_saw_is_told_and_detected() {
     let [of_u, of_chance] = [0, last].map(|m| Evaluator::detection(&evaluated, m).unwrap());
     assert_eq!(of_u.positives, unseen as f64 / found.len() as f64);
     assert!(of_u.auroc > 0.8 && (0.3..0.7).contains(&of_chance.auroc), "{of_u:?}, {of_chance:?}");
+}
+
+/// Every kind has the figures of its own pixels, and no others.
+#[test]
+fn kinds_of_pixels_are_judged_apart() {
+    let ball = ClosedForm::ball();
+    let readings = [Reading { name: "U".into(), field: uncertainty(&ball), averages: vec![RayAverage::USpread] }];
+    let model = renderer(&ball);
+    let evaluator = Evaluator::new(&model, &readings);
+    let camera = Camera::look_at(DVec3::new(3.0, 0.5, 0.5), DVec3::ZERO, DVec3::Z, 0.7, [48; 2]);
+    let truth = truth(&ball, &camera);
+    // The left third is the object; what is off by more than 0.2 is in front, as true depths are 0.01 a pixel nearer.
+    let object: Vec<bool> = (0..48 * 48).map(|i| i % 48 < 16).collect();
+    let silhouette = |i: usize| Outline { is_silhouette: i.is_multiple_of(7), is_thin: false };
+    let outlines = (0..48 * 48).map(silhouette).collect();
+    let truth = TrueView { parts: TrueParts { outlines, object, jump: 0.2 }, ..truth };
+    let views = [evaluator.evaluate(&truth, 0, &Silent).unwrap()];
+    let found = OfKind::all(&evaluator, &views);
+    // Thin has no pixels. No median is nearer than its true depth.
+    let names: Vec<PixelKind> = found.iter().map(|of| of.kind).collect();
+    assert_eq!(names, [PixelKind::Object, PixelKind::Around, PixelKind::Silhouette, PixelKind::Other]);
+    let view = &views[0];
+    for of in &found {
+        let is = |i: usize| match of.kind {
+            PixelKind::Object => i % 48 < 16,
+            PixelKind::Around => i % 48 >= 16,
+            PixelKind::Silhouette => i.is_multiple_of(7),
+            _ => !i.is_multiple_of(7),
+        };
+        let chosen: Vec<usize> = (0..view.pixels.len()).filter(|&k| is(view.pixels[k])).collect();
+        let of_chosen = |values: &[f64]| -> Vec<f64> { chosen.iter().map(|&k| values[k]).collect() };
+        assert_eq!(of.share, chosen.len() as f64 / view.pixels.len() as f64);
+        assert_eq!(of.depth_error.pixels, chosen.len());
+        let errors = of_chosen(&view.absolute_error);
+        for (measure, values) in of.measures.iter().zip(&view.measures) {
+            let expected = sparsification(&of_chosen(values), &errors, ErrorKind::Mae).map(|curve| curve.area);
+            assert_eq!(measure.ause.map(|ause| ause.mae), expected, "{}", of.kind);
+        }
+    }
+    let shares: f64 = found[..2].iter().map(|of| of.share).sum();
+    assert!((shares - 1.0).abs() < 1e-12);
 }
 
 /// What faces the middle of three cameras is seen by all of them, the sides by fewer.

@@ -175,6 +175,7 @@ mod tests {
             covered: vec![true; pixels],
             distance: vec![None; pixels],
             readings: DepthReadings::default(),
+            parts: crate::TrueParts::default(),
         }
     }
 

@@ -4,7 +4,11 @@ use glam::DVec3;
 
 use octobayes::geometry::{Aabb, Camera};
 use octobayes::{Error, Result};
-use octobayes_data::{DepthEncoding, DepthKind, DepthMap, DepthReadings, Frame, LargestDepth, PosedImage, read_masks};
+use octobayes_data::{
+    DepthEncoding, DepthKind, DepthMap, DepthReadings, Frame, LargestDepth, PosedImage, read_masks, read_object,
+};
+
+use super::kinds::{JUMP, TrueParts, outlines};
 
 /// How depth maps are read.
 #[derive(Debug, Clone, Copy)]
@@ -52,6 +56,8 @@ pub struct TrueView {
     pub distance: Vec<Option<f64>>,
     /// What the depth map holds at these pixels.
     pub readings: DepthReadings,
+    /// What else is known of them.
+    pub parts: TrueParts,
 }
 
 impl TrueView {
@@ -84,6 +90,18 @@ impl TrueView {
             reading.ok()
         };
         let distance = pixels.iter().map(measured).collect();
+        let whole = frame.camera.resolution.map(|n| n as usize);
+        let jump = depth.map_or(0.0, |depth| JUMP * depth.bounds.longest_edge());
+        let outlines = truth.as_ref().map(|map| outlines(map, whole, |i| image.alpha(i) <= 0.5, jump));
+        let shows_object = read_object(frame)?;
+        let object = shows_object
+            .iter()
+            .flat_map(|mask| pixels.iter().map(|&i| mask.keeps((i % full_width) as u32, (i / full_width) as u32)));
+        let parts = TrueParts {
+            outlines: outlines.iter().flat_map(|all| pixels.iter().map(|&i| all[i])).collect(),
+            object: object.collect(),
+            jump,
+        };
         Ok(Self {
             name: frame.name.clone(),
             camera,
@@ -95,6 +113,7 @@ impl TrueView {
             covered: pixels.iter().map(|&i| image.alpha(i) > 0.5 && keeps(i)).collect(),
             distance,
             readings,
+            parts,
         })
     }
 

@@ -1,10 +1,11 @@
-//! What an evaluation comes to, in two sentences: does U rank the errors of depth here, and are intervals right?
+//! What an evaluation comes to, in two sentences: does U rank the errors of depth here, and are intervals right? Where
+//! masks show the object, its pixels alone count: what is around it is often flat, large and easy.
 //!
 //! Pixels of a view share its errors, so that views count, not pixels: a difference is one if its mean over views is
 //! beyond Student's t for 99 % of its standard error. The usual 95 % would be too few, as U is the best of several
 //! readings.
 
-use super::{Baseline, EvaluatedView, Evaluator, Measure, Report};
+use super::{Baseline, EvaluatedView, Evaluator, Measure, OfKind, PixelKind, Report};
 use crate::metrics::{ErrorDensity, ErrorKind, sparsification};
 
 /// Fewer views, each with pixels enough to rank, have no spread to compare a difference with.
@@ -31,20 +32,22 @@ impl Report {
         if is_doubtful {
             return vec!["No verdict: most depths are so far off that the depth maps are probably misread.".into()];
         }
+        let judged = Pixels::new(self, views);
         let measures = evaluator.measures();
         let is = |baseline| measures.iter().position(|m| *m == Measure::Baseline(baseline));
-        let best = (0..self.readings.len()).min_by(|&a, &b| self.area(a).total_cmp(&self.area(b)));
+        let best = (0..self.readings.len()).min_by(|&a, &b| judged.area(a).total_cmp(&judged.area(b)));
         let (Some(best), Some(weights), Some(random)) = (best, is(Baseline::RayVariance), is(Baseline::Random)) else {
             return Vec::new();
         };
         let three = [best, weights, random];
         let of_view = |view: &EvaluatedView| {
-            let area = |m: usize| sparsification(&view.measures[m], &view.absolute_error, ErrorKind::Mae);
+            let errors = judged.of(view, &view.absolute_error);
+            let area = |m: usize| sparsification(&judged.of(view, &view.measures[m]), &errors, ErrorKind::Mae);
             let [u, weights, random] = three.map(|m| area(m).map(|found| found.area));
             Some([u?, weights?, random?])
         };
         let areas: Vec<[f64; 3]> = views.iter().filter_map(of_view).collect();
-        if let Some(few) = few(self.pixels, areas.len()) {
+        if let Some(few) = few(judged.count, areas.len()) {
             return vec![few];
         }
         let average = self.readings[best].ray_average.map_or(String::new(), |a| format!(" averaged `{}`", a.name()));
@@ -53,7 +56,8 @@ impl Report {
             1 => name,
             several => format!("{name}, the best of {several}"),
         };
-        let mut sentences = vec![ranking(&areas, three.map(|m| self.area(m)), &name, self.pixels)];
+        let what = format!("{} pixels{}", judged.count, judged.place());
+        let mut sentences = vec![ranking(&areas, three.map(|m| judged.area(m)), &name, &what)];
         let deviation = measures.iter().enumerate().find_map(|(m, measure)| match measure {
             Measure::DepthDeviation(reading) => Some((m, &evaluator.readings[*reading])),
             _ => None,
@@ -65,13 +69,16 @@ impl Report {
                     Some(interval) => (interval.probability, interval.factor, "calibrated intervals"),
                     None => (NOMINAL, ErrorDensity::PREDICTIVE.deviations(NOMINAL), "intervals"),
                 };
-                let held = |v: &EvaluatedView| -> f64 {
-                    v.absolute_error.iter().zip(&v.measures[m]).filter(|(e, s)| **e <= factor * **s).count() as f64
+                // Errors within their interval, and all, of each view.
+                let held = |v: &EvaluatedView| -> [f64; 2] {
+                    let (errors, deviations) = (judged.of(v, &v.absolute_error), judged.of(v, &v.measures[m]));
+                    let held = errors.iter().zip(&deviations).filter(|(e, s)| **e <= factor * **s).count();
+                    [held as f64, errors.len() as f64]
                 };
-                let shown = || views.iter().filter(|view| !view.absolute_error.is_empty());
-                let shares: Vec<f64> = shown().map(|view| held(view) / view.absolute_error.len() as f64).collect();
-                let all = shown().map(held).sum::<f64>() / self.pixels as f64;
-                intervals(&shares, all, nominal, &format!("{what} of `{}`", reading.name))
+                let counts: Vec<[f64; 2]> = views.iter().map(held).filter(|[_, all]| *all > 0.0).collect();
+                let shares: Vec<f64> = counts.iter().map(|[held, all]| held / all).collect();
+                let all = counts.iter().map(|[held, _]| held).sum::<f64>() / judged.count as f64;
+                intervals(&shares, all, nominal, &format!("{what} of `{}`{}", reading.name, judged.place()))
             }
         });
         if trained_on > 0 {
@@ -80,10 +87,42 @@ impl Report {
         }
         sentences
     }
+}
 
-    /// AUSE of the mean absolute error over all pixels.
+/// The pixels that are judged: those of the object, if masks show it, else all.
+struct Pixels<'a> {
+    report: &'a Report,
+    object: Option<&'a OfKind>,
+    count: usize,
+}
+
+impl<'a> Pixels<'a> {
+    fn new(report: &'a Report, views: &[EvaluatedView]) -> Self {
+        let object = report.kinds.iter().find(|of| of.kind == PixelKind::Object);
+        let of_object =
+            |view: &EvaluatedView| view.of_kind(PixelKind::Object).map(|is| is.iter().filter(|is| **is).count());
+        let count = object.map_or(report.pixels, |_| views.iter().filter_map(of_object).sum());
+        Self { report, object, count }
+    }
+
+    /// Values of the judged pixels of a view.
+    fn of(&self, view: &EvaluatedView, values: &[f64]) -> Vec<f64> {
+        match view.of_kind(PixelKind::Object).filter(|_| self.object.is_some()) {
+            Some(is) => values.iter().zip(is).filter(|(_, is)| **is).map(|(value, _)| *value).collect(),
+            None => values.to_vec(),
+        }
+    }
+
+    /// AUSE of the mean absolute error over them, of measure `m`.
     fn area(&self, m: usize) -> f64 {
-        self.scored().nth(m).map_or(f64::NAN, |scored| scored.score.ause_pooled.mae)
+        match self.object {
+            Some(object) => object.measures[m].ause.map_or(f64::NAN, |ause| ause.mae),
+            None => self.report.scored().nth(m).map_or(f64::NAN, |scored| scored.score.ause_pooled.mae),
+        }
+    }
+
+    fn place(&self) -> &'static str {
+        self.object.map_or("", |_| " of the object")
     }
 }
 
@@ -98,7 +137,7 @@ fn few(pixels: usize, views: usize) -> Option<String> {
 }
 
 /// `areas` of single views and `pooled` over all pixels: of U, of the variance of the ray's weights, and of chance.
-fn ranking(areas: &[[f64; 3]], pooled: [f64; 3], name: &str, pixels: usize) -> String {
+fn ranking(areas: &[[f64; 3]], pooled: [f64; 3], name: &str, pixels: &str) -> String {
     let ahead_of = |other: usize| {
         let differences: Vec<f64> = areas.iter().map(|area| area[other] - area[0]).collect();
         let sign = beyond(&differences, 0.0);
@@ -118,7 +157,7 @@ fn ranking(areas: &[[f64; 3]], pooled: [f64; 3], name: &str, pixels: usize) -> S
     let [u, weights, random] = pooled;
     format!(
         "U {ranks} the errors of depth here: AUSE {u:.3} by {name}; {random:.3} by chance, {weights:.3} by the \
-         variance of the ray's weights, beside which U {beside} ({pixels} pixels of {} views).",
+         variance of the ray's weights, beside which U {beside} ({pixels} in {} views).",
         areas.len()
     )
 }
@@ -187,21 +226,21 @@ mod tests {
     fn a_ranking_is_judged_by_views() {
         // U, variance of the weights, chance.
         let clear = [[0.20, 0.30, 0.70], [0.22, 0.33, 0.72], [0.18, 0.28, 0.69], [0.21, 0.30, 0.71]];
-        let said = ranking(&clear, [0.2, 0.3, 0.7], "`a block`", 5000);
+        let said = ranking(&clear, [0.2, 0.3, 0.7], "`a block`", "5000 pixels");
         let expected = "U ranks the errors of depth here: AUSE 0.200 by `a block`; 0.700 by chance, 0.300 by the \
-                        variance of the ray's weights, beside which U is better (5000 pixels of 4 views).";
+                        variance of the ray's weights, beside which U is better (5000 pixels in 4 views).";
         assert_eq!(said, expected);
         // One view decides: ahead in the mean, and no verdict.
         let mixed = [[0.20, 0.19, 0.70], [0.22, 0.21, 0.72], [0.18, 0.17, 0.69], [0.21, 0.60, 0.71]];
-        assert!(ranking(&mixed, [0.2, 0.3, 0.7], "a", 5000).contains("U is not clearly better or worse"));
+        assert!(ranking(&mixed, [0.2, 0.3, 0.7], "a", "5000 pixels").contains("U is not clearly better or worse"));
         let reversed = clear.map(|[u, weights, random]| [weights, u, random]);
-        assert!(ranking(&reversed, [0.3, 0.2, 0.7], "a", 5000).contains("U is worse: rank by that"));
+        assert!(ranking(&reversed, [0.3, 0.2, 0.7], "a", "5000 pixels").contains("U is worse: rank by that"));
         // Over all pixels together the order is another.
-        assert!(ranking(&clear, [0.31, 0.3, 0.7], "a", 5000).contains("not clearly better"));
+        assert!(ranking(&clear, [0.31, 0.3, 0.7], "a", "5000 pixels").contains("not clearly better"));
         let chance = [[0.70, 0.30, 0.70], [0.69, 0.33, 0.72], [0.72, 0.28, 0.69], [0.71, 0.30, 0.71]];
-        assert!(ranking(&chance, [0.7, 0.3, 0.7], "a", 5000).starts_with("U does not clearly rank"));
+        assert!(ranking(&chance, [0.7, 0.3, 0.7], "a", "5000 pixels").starts_with("U does not clearly rank"));
         let worse = clear.map(|[u, weights, random]| [random, weights, u]);
-        assert!(ranking(&worse, [0.7, 0.3, 0.2], "a", 5000).starts_with("U does not rank"));
+        assert!(ranking(&worse, [0.7, 0.3, 0.2], "a", "5000 pixels").starts_with("U does not rank"));
         assert!(few(999, 8).is_some() && few(5000, 3).is_some() && few(1000, 4).is_none());
     }
 

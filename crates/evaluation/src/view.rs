@@ -4,7 +4,8 @@ use glam::DVec3;
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 
-use super::{Baseline, Measure, Part, Reading, TrainingViews, TrueView};
+use super::kinds::{Outline, TrueParts};
+use super::{Baseline, Measure, Part, PixelKind, Reading, TrainingViews, TrueView};
 use crate::metrics::{Calibration, Detection, ensemble_variance};
 use octobayes::Result;
 use octobayes::metrics::psnr;
@@ -53,11 +54,21 @@ pub struct EvaluatedView {
     pub confirmed: Vec<bool>,
     /// `[n]`: whether the training images agree on the colour of what is confirmed, too; empty if that is not known.
     pub photo_consistent: Vec<bool>,
+    /// `[n]` for every kind that is known: whether the pixel is of it.
+    pub kinds: Vec<(PixelKind, Vec<bool>)>,
     /// Pixels with a true depth where the model shows nothing. They are left out,
     /// because there is no depth to compare.
     pub empty: usize,
     /// The rendered view, whole.
     pub rendered: RenderedView,
+}
+
+impl EvaluatedView {
+    /// `[n]`: whether a pixel is of a kind; `None` if the kind is not known.
+    #[must_use]
+    pub fn of_kind(&self, kind: PixelKind) -> Option<&[bool]> {
+        self.kinds.iter().find(|(known, _)| *known == kind).map(|(_, is)| &is[..])
+    }
 }
 
 impl<'a> Evaluator<'a> {
@@ -153,6 +164,7 @@ impl<'a> Evaluator<'a> {
         let is_unseen = |views: &TrainingViews, i: usize, d: f64| views.sighting(at(i, d)).views == 0;
         let never_seen: Vec<bool> =
             self.truly_seen.iter().flat_map(|views| seen.iter().map(|&(i, d)| is_unseen(views, i, d))).collect();
+        let kinds = kinds(truth, &seen, &never_seen, |i| rendered.pixels[i].median_depth);
         let confirmed = self.training.map(|training| training.confirmed(camera, offset, &rendered));
         let confirmed: Vec<bool> = confirmed.iter().flat_map(|all| pixels.iter().map(|&i| all[i])).collect();
         let colors = self.color_spread().map(|spread| spread.of_view(camera, offset, &rendered));
@@ -204,6 +216,7 @@ impl<'a> Evaluator<'a> {
             never_seen,
             confirmed,
             photo_consistent,
+            kinds,
             empty: empty.len(),
             rendered,
         })
@@ -268,4 +281,33 @@ impl<'a> Evaluator<'a> {
         let [x, y] = [i % width, i / width].map(|n| n as f64 + truth.pixel_offset);
         self.model.bounds().clip(&truth.camera.ray(x, y)).map_or(0.0, |(_, exit)| exit)
     }
+}
+
+/// The kinds that are known of pixels, given with their true distances.
+fn kinds(
+    truth: &TrueView,
+    seen: &[(usize, f64)],
+    never_seen: &[bool],
+    median: impl Fn(usize) -> f64,
+) -> Vec<(PixelKind, Vec<bool>)> {
+    let TrueParts { outlines, object, jump } = &truth.parts;
+    let mut kinds = Vec::new();
+    if !object.is_empty() {
+        kinds.push((PixelKind::Object, seen.iter().map(|(i, _)| object[*i]).collect()));
+        kinds.push((PixelKind::Around, seen.iter().map(|(i, _)| !object[*i]).collect()));
+    }
+    if outlines.is_empty() {
+        return kinds;
+    }
+    let of_outline = |is: fn(Outline) -> bool| -> Vec<bool> { seen.iter().map(|(i, _)| is(outlines[*i])).collect() };
+    let (silhouette, thin) = (of_outline(|outline| outline.is_silhouette), of_outline(|outline| outline.is_thin));
+    let in_front: Vec<bool> = seen.iter().map(|&(i, distance)| median(i) < distance - jump).collect();
+    let is_unseen = |k: usize| never_seen.get(k).copied().unwrap_or(false);
+    let other = (0..seen.len()).map(|k| !(silhouette[k] || thin[k] || in_front[k] || is_unseen(k))).collect();
+    kinds.extend([(PixelKind::Silhouette, silhouette), (PixelKind::Thin, thin)]);
+    if !never_seen.is_empty() {
+        kinds.push((PixelKind::NeverSeen, never_seen.to_vec()));
+    }
+    kinds.extend([(PixelKind::InFront, in_front), (PixelKind::Other, other)]);
+    kinds
 }

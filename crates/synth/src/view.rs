@@ -6,6 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
 
 use super::shade::LitScene;
+use super::trace::Surface;
 use octobayes::Result;
 use octobayes::geometry::Camera;
 use octobayes::monitor::{Monitor, check};
@@ -21,6 +22,8 @@ pub struct TracedView {
     /// `[height · width]`: Euclidean distance from the camera along the ray through the pixel's centre, in scene
     /// units; 0 where the ray hits nothing.
     pub depth: Vec<f32>,
+    /// `[height · width]`: whether that ray hits the mesh first, and not the ground.
+    pub is_object: Vec<bool>,
 }
 
 /// Sampling of pixels.
@@ -45,7 +48,7 @@ pub fn trace_view(
     monitor: &dyn Monitor,
 ) -> Result<TracedView> {
     let [width, height] = camera.resolution;
-    let rows: Vec<Vec<([u8; 4], f32)>> = (0..height)
+    let rows: Vec<Vec<([u8; 4], f32, bool)>> = (0..height)
         .into_par_iter()
         .map(|row| {
             check(monitor)?;
@@ -54,11 +57,16 @@ pub fn trace_view(
             Ok(pixels)
         })
         .collect::<Result<_>>()?;
-    let (rgba, depth) = rows.into_iter().flatten().unzip();
-    Ok(TracedView { resolution: camera.resolution, rgba, depth })
+    let (mut rgba, mut depth, mut is_object) = (Vec::new(), Vec::new(), Vec::new());
+    for (color, distance, is) in rows.into_iter().flatten() {
+        rgba.push(color);
+        depth.push(distance);
+        is_object.push(is);
+    }
+    Ok(TracedView { resolution: camera.resolution, rgba, depth, is_object })
 }
 
-fn pixel(lit: &LitScene, camera: &Camera, sampling: PixelSampling, [column, row]: [u32; 2]) -> ([u8; 4], f32) {
+fn pixel(lit: &LitScene, camera: &Camera, sampling: PixelSampling, [column, row]: [u32; 2]) -> ([u8; 4], f32, bool) {
     let corner = [column, row].map(f64::from);
     let mut rng = ChaCha8Rng::seed_from_u64(sampling.seed);
     // Pictures have at most 1e8 < 2³² pixels, so every pixel of every picture has its own stream.
@@ -80,5 +88,6 @@ fn pixel(lit: &LitScene, camera: &Camera, sampling: PixelSampling, [column, row]
     let alpha = byte(f64::from(hits) / f64::from(n * n));
 
     let center = lit.scene().nearest(&camera.ray(corner[0] + 0.5, corner[1] + 0.5));
-    ([r, g, b, alpha], center.map_or(0.0, |hit| hit.t as f32))
+    let is_object = center.is_some_and(|hit| hit.surface != Surface::Ground);
+    ([r, g, b, alpha], center.map_or(0.0, |hit| hit.t as f32), is_object)
 }

@@ -151,6 +151,7 @@ struct Transforms {
 struct FrameRecord {
     file_path: String,
     depth_file_path: String,
+    object_mask_path: String,
     transform_matrix: [[f64; 4]; 4],
 }
 
@@ -175,7 +176,7 @@ pub fn write_dataset(mesh_path: &Path, target: &Path, settings: &DatasetSettings
     let focal = train[0].focal;
     let splits = [Split { name: "train", cameras: train }, Split { name: "test", cameras: test }];
 
-    for name in ["images", "depth"] {
+    for name in ["images", "depth", "objects"] {
         let path = folder.path().join(name);
         std::fs::create_dir(&path).map_err(Error::io(&path, "cannot create the folder"))?;
     }
@@ -235,13 +236,16 @@ fn frame_name(split: &str, i: usize) -> String {
     format!("{split}_{i:04}")
 }
 
-/// Writes a picture as PNG, and its depth as EXR (exact) and as 16-bit PNG.
+/// Writes a picture as PNG, its depth as EXR (exact) and as 16-bit PNG, and a mask of the mesh.
 fn write_view(folder: &Path, name: &str, view: TracedView) -> Result<()> {
     let [width, height] = view.resolution;
     let whole = "a picture has a value for each pixel";
     let rgba: Vec<u8> = view.rgba.into_iter().flatten().collect();
     let image = ImageBuffer::<Rgba<u8>, _>::from_raw(width, height, rgba).expect(whole);
     write_png(&folder.join(format!("images/{name}.png")), &image.into())?;
+    let mask = view.is_object.iter().map(|is| if *is { 255 } else { 0 }).collect();
+    let image = ImageBuffer::<Luma<u8>, _>::from_raw(width, height, mask).expect(whole);
+    write_png(&folder.join(format!("objects/{name}.png")), &image.into())?;
     let step = |d: &f32| (f64::from(*d) / DEPTH_PNG_SCALE * 65_535.0).round() as u16;
     let steps = view.depth.iter().map(step).collect();
     let image = ImageBuffer::<Luma<u16>, _>::from_raw(width, height, steps).expect(whole);
@@ -279,6 +283,7 @@ fn transforms(split: &Split) -> Transforms {
         FrameRecord {
             file_path: format!("images/{name}.png"),
             depth_file_path: format!("depth/{name}.exr"),
+            object_mask_path: format!("objects/{name}.png"),
             transform_matrix: [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
         }
     };
@@ -313,7 +318,8 @@ fn readme(mesh: &str, settings: &DatasetSettings) -> String {
         - `depth/*.exr`: 32-bit float channel `depth.Z`, Euclidean distance from the camera of the ray through the\n\
         \x20 pixel's centre, scene units; 0 where it hits nothing.\n\
         - `depth/*.png`: the same in 16 bits, distance = {DEPTH_PNG_SCALE} * value / 65535, for\n\
-        \x20 `octobayes evaluate --depth depth --depth-pattern {{}}.png --depth-encoding 0,{DEPTH_PNG_SCALE}`.\n\n\
+        \x20 `octobayes evaluate --depth depth --depth-pattern {{}}.png --depth-encoding 0,{DEPTH_PNG_SCALE}`.\n\
+        - `objects/*.png`: 255 where that ray hits the mesh, 0 where it hits the ground or nothing.\n\n\
         Radiance depends on position alone: Lambertian surfaces, a sun with traced shadows, sky light with occlusion\n\
         traced at vertices and interpolated. Smooth normals and texture change colour only; depth is that of the flat\n\
         triangles.\n"

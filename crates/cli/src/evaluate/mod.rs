@@ -71,6 +71,11 @@ pub struct Args {
     #[arg(long, value_name = "DIR", help_heading = heading::INPUT, hide_short_help = true)]
     training_depth: Option<PathBuf>,
 
+    /// Folder of masks in which the object is not black, `NAME.png` of each view [default: those that the camera file
+    /// names, `object_mask_path`]. Figures of the object and of what is around it are then apart
+    #[arg(long, value_name = "DIR", help_heading = heading::INPUT)]
+    object_masks: Option<PathBuf>,
+
     /// Covariances to evaluate, separated by commas [default: all if a field keeps its sums, else its own]
     #[arg(long, value_parser = choice::<Covariance>(), value_delimiter = ',', help_heading = heading::STATISTICS)]
     covariance: Vec<Covariance>,
@@ -182,6 +187,7 @@ impl Args {
             selection: self.frames.views.clone().unwrap_or_default(),
             stride: self.stride,
             depth: self.maps.files(self.depth.clone()),
+            object_masks: self.object_masks.clone(),
             training_depth: self.training_depth.clone(),
             calibrate: self.calibrate.as_ref().map(|_| self.probability),
             clean_up: self.clean_up.is_some(),
@@ -196,6 +202,7 @@ impl Args {
         files
             .inputs("an image of --cameras", prepared.frames().iter().map(|frame| &frame.image))
             .inputs("--depth", prepared.depth.iter().flat_map(|found| &found.files))
+            .inputs("a mask of the object", prepared.frames().iter().filter_map(|frame| frame.object.as_ref()))
             .inputs("--training-depth", prepared.training_depth.iter().flat_map(|found| &found.files))
             .check()?;
         let Judged { report, truths, cleaned } = prepared.judge(bars, &mut tell)?;

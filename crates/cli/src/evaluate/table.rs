@@ -4,7 +4,10 @@ use super::Args;
 use octobayes::Result;
 use octobayes_data::DepthKind;
 use octobayes_evaluation::metrics::{Calibration, Detection, PROBABILITIES};
-use octobayes_evaluation::{CONFIRMING_VIEWS, CleanUp, DepthError, Interval, Part, Report, Score, Scored};
+use octobayes_evaluation::{CONFIRMING_VIEWS, CleanUp, DepthError, Interval, OfKind, Part, Report, Score, Scored};
+
+/// A curve rises if it is above its start by more than this part of it.
+const RISE: f64 = 0.05;
 
 /// JSON without control characters. Those that JSON lets stand in a name are obeyed by some terminals.
 fn escaped(json: &serde_json::Value) -> String {
@@ -53,6 +56,7 @@ impl Args {
             "depth error over {pixels} pixels: median {median:.4}, mean {mean:.4}, 95 % {percentile_95:.4} scene units"
         )?;
         let width = report.scored().map(|scored| scored.name.chars().count()).max().unwrap_or(0).max(32);
+        print_kinds(report, width)?;
         say!("  {:<width$} AUSE, all pixels | mean over views  | risk, scene units  | rank correlation", "")?;
         say!("{}", row(width, "", ["mae", "rmse", "mae", "rmse", "mae", "rmse", "all", "views"].map(String::from)))?;
         if let Some(Scored { score: Score { least_risk, .. }, .. }) = report.scored().next() {
@@ -71,6 +75,7 @@ impl Args {
             let [g, h] = ranks.map(|rank| number(rank, 3));
             say!("{}", row(width, name, [a, b, c, d, e, f, g, h]))?;
         }
+        warn_of_rises(report);
         print_detection(report, width)?;
         print_calibration(report, width)
     }
@@ -124,6 +129,47 @@ fn number(value: f64, digits: usize) -> String {
 fn row(width: usize, name: &str, cells: [String; 8]) -> String {
     let [a, b, c, d, e, f, g, h] = cells;
     format!("  {name:<width$} {a:>8} {b:>7} | {c:>8} {d:>7} | {e:>8} {f:>9} | {g:>8} {h:>7}")
+}
+
+/// Curves that rise gain by their own common maximum.
+fn warn_of_rises(report: &Report) {
+    for Scored { name, score, .. } in report.readings.iter().filter(|scored| scored.score.rise.mae > RISE) {
+        announce!(
+            "warning: {name} leaves some of the largest errors for the end, so that the mean error rises by {:.0} % \
+             above its start; its AUSE (mae) is {:.4}, and {:.4} in units of the start",
+            100.0 * score.rise.mae,
+            score.ause_pooled.mae,
+            score.ause_from_start.mae
+        );
+    }
+}
+
+/// The first reading, and the first deviation of depth, for each kind of pixel.
+fn print_kinds(report: &Report, width: usize) -> Result<()> {
+    let Some(first) = report.kinds.first() else { return Ok(()) };
+    let by = first.measures[0].name.clone();
+    let deviation = first.measures.iter().position(|measure| measure.calibration.is_some() && measure.name != by);
+    let nominal = if deviation.is_some() {
+        format!("   deviation holds, of {}", PROBABILITIES.map(|p| format!("{:.0}", 100.0 * p)).join("/") + " %")
+    } else {
+        String::new()
+    };
+    say!("{:<width$}    share   median error   AUSE mae    rmse{nominal}", format!("by {by}, where pixels are"))?;
+    for OfKind { kind, share, depth_error, measures } in &report.kinds {
+        let [mae, rmse] = measures[0].ause.map_or([f64::NAN; 2], |ause| [ause.mae, ause.rmse]);
+        let held = deviation.and_then(|m| measures[m].calibration.as_ref()).map_or(String::new(), |calibration| {
+            let held = calibration.predictive().coverage.map(|[_, found]| number(100.0 * found, 0));
+            format!("   {}", held.join("/"))
+        });
+        let [mae, rmse] = [mae, rmse].map(|area| number(area, 3));
+        let (share, median) = (100.0 * share, depth_error.median);
+        say!(
+            "  {:<width$} {share:>5.1} % {median:>14.4} {mae:>10} {rmse:>7}{held}",
+            kind.to_string(),
+            width = width - 2
+        )?;
+    }
+    Ok(())
 }
 
 /// Only if it is known which pixels show what no training view saw.

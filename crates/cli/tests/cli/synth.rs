@@ -10,7 +10,7 @@ use glam::DVec3;
 use octobayes::geometry::Ray;
 use octobayes::monitor::Silent;
 use octobayes_data::Hemisphere;
-use octobayes_data::{DepthEncoding, DepthKind, DepthMap, PosedImage, Views};
+use octobayes_data::{DepthEncoding, DepthKind, DepthMap, PosedImage, Views, read_object};
 use octobayes_synth::{
     DEPTH_PNG_SCALE, DatasetSettings, GROUND_RADIUS, HALF_HEIGHT, Mesh, MeshScene, RADIUS, Up, write_dataset,
 };
@@ -97,6 +97,7 @@ fn depth_is_that_of_the_sphere_and_the_ground() {
             assert_eq!(camera.resolution, [72, 60]);
             assert!(split == "test" || camera.position.x < 0.0, "training cameras stand on the left");
             let image = PosedImage::read(&frame.image, frame.camera.resolution).unwrap();
+            let object = read_object(frame).unwrap().unwrap();
             let depth = exact_depth(&out.join(format!("depth/{split}_{i:04}.exr")));
             let encoding = DepthEncoding { offset: 0.0, scale: DEPTH_PNG_SCALE, kind: DepthKind::Euclidean };
             let png = out.join(format!("depth/{split}_{i:04}.png"));
@@ -105,6 +106,7 @@ fn depth_is_that_of_the_sphere_and_the_ground() {
                 let center = [f64::from(k as u32 % 72) + 0.5, f64::from(k as u32 / 72) + 0.5];
                 let ray = camera.ray(center[0], center[1]);
                 let t = f64::from(found);
+                let is_object = object.keeps(k as u32 % 72, k as u32 / 72);
                 match steps.distance[k] {
                     // Half a step of 1e-4, and the rounding to f32.
                     Ok(step) => assert!((step - t).abs() <= 0.5e-4 + 1e-6 && found > 0.0),
@@ -119,11 +121,13 @@ fn depth_is_that_of_the_sphere_and_the_ground() {
                     let shallow = enter(&ray, outer).unwrap();
                     let within = shallow - rounding(t)..=deep + rounding(t);
                     assert!(within.contains(&t), "{t} is not in {within:?}");
+                    assert!(is_object, "{center:?}");
                     deepest = deepest.max(RADIUS - ray.at(t).length());
                     on_sphere += 1;
                 } else if enter(&ray, outer).is_none() {
                     let expected = ground(&ray).unwrap_or(0.0);
                     assert!((t - expected).abs() <= rounding(t), "ground: {t} for {expected}");
+                    assert!(!is_object, "{center:?}");
                     if expected > 0.0 { on_ground += 1 } else { empty += 1 }
                 }
                 if image.is_opaque(k) {

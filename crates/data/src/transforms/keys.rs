@@ -106,6 +106,7 @@ pub struct RawFrame {
     pub transform_matrix_end: Option<Vec<Vec<f64>>>,
     pub mask_path: Option<String>,
     pub depth_file_path: Option<String>,
+    pub object_mask_path: Option<String>,
     pub time: Option<f64>,
     #[serde(flatten)]
     pub intrinsics: Intrinsics,

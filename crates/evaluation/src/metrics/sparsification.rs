@@ -49,6 +49,20 @@ impl Sparsification {
         self.largest * self.by_uncertainty.iter().sum::<f64>() / STEPS as f64
     }
 
+    /// How far the curve by uncertainty rises above its start, where all pixels are left, in parts of the start; 0 if it
+    /// does not. Where it rises, the common maximum is larger than the start, and the [area](Self::area) smaller than
+    /// one in units of the start: a ranking that keeps the largest errors for the end gains by it.
+    #[must_use]
+    pub fn rise(&self) -> f64 {
+        self.by_uncertainty.iter().fold(0.0_f64, |most, &error| most.max(error)) / self.by_uncertainty[0] - 1.0
+    }
+
+    /// The area if both curves are divided by their start, which they share.
+    #[must_use]
+    pub fn area_from_start(&self) -> f64 {
+        self.area / self.by_uncertainty[0]
+    }
+
     /// The least risk that an order of these pixels can have: the oracle's.
     #[must_use]
     pub fn least_risk(&self) -> f64 {
@@ -132,6 +146,24 @@ mod tests {
         assert!((251.5..=252.0).contains(&found.risk()) && found.risk() == found.least_risk(), "{}", found.risk());
         let constant = sparsification(&error, &constant, ErrorKind::Mae).unwrap();
         assert!((constant.risk() - 3.0).abs() < 1e-12 && (constant.least_risk() - 3.0).abs() < 1e-12);
+    }
+
+    /// A ranking that leaves the largest errors for the end: its own curve rises, so that the common maximum is large
+    /// and the area small. In units of the start it is not.
+    #[test]
+    fn a_curve_that_rises_gains_nothing_from_the_start() {
+        let error: Vec<f64> = (0..1000).map(|i| if i < 10 { 1000.0 } else { f64::from(i) / 1000.0 }).collect();
+        let kept: Vec<f64> = error.iter().map(|e| if *e > 1.0 { -1.0 } else { *e }).collect();
+        let (bad, perfect) = (
+            sparsification(&kept, &error, ErrorKind::Mae).unwrap(),
+            sparsification(&error, &error, ErrorKind::Mae).unwrap(),
+        );
+        // From 10.5 in the mean of all to 1000 in the last ten, which are the disasters.
+        let mean = error.iter().sum::<f64>() / 1000.0;
+        assert!((bad.rise() - (1000.0 / mean - 1.0)).abs() < 1e-9, "{}", bad.rise());
+        assert!(perfect.rise().abs() < 1e-12 && perfect.area_from_start() == 0.0);
+        assert!(bad.area < 0.1 && bad.area_from_start() > 4.0, "{} {}", bad.area, bad.area_from_start());
+        assert!((bad.area_from_start() - bad.area * (1.0 + bad.rise())).abs() < 1e-9);
     }
 
     #[test]

@@ -97,6 +97,7 @@ fn measures_of_splats_are_those_of_the_slow_images() {
         covered: vec![true; n],
         distance: vec![Some(2.0); n],
         readings: DepthReadings::default(),
+        parts: TrueParts::default(),
     };
     let evaluator = Evaluator::new(&model, &readings);
     let view = evaluator.evaluate(&truth, 0, &Silent).unwrap();
@@ -206,6 +207,7 @@ fn splats_are_cleaned_up_as_volumes_are() {
         covered: view.pixels.iter().map(|p| p.opacity > 0.5).collect(),
         distance: vec![None; n],
         readings: DepthReadings::default(),
+        parts: TrueParts::default(),
     };
     // From below the least U to above the prior. The unit is that of a share of 0.
     let cleaned = clean_up(&splats, &model, &BakedField::unbaked(&field), &[truth], &[-5.0, 1.0], &Silent).unwrap();

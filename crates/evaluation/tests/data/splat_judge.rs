@@ -35,6 +35,7 @@ fn judge(splats: &Splats, cameras: &[Camera], level: u8, folder: &Path) -> Repor
         selection: Selection::All,
         stride: 1,
         depth: halved::depth(folder),
+        object_masks: None,
         training_depth: None,
         calibrate: Some(0.9),
         clean_up: false,

@@ -7,7 +7,7 @@ use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::{Error, Result};
 use octobayes_data::{DepthKind, DepthReadings, Frame, Views};
-use octobayes_evaluation::{DepthFiles, DepthMeaning, TrueView};
+use octobayes_evaluation::{DepthFiles, DepthMeaning, TrueParts, TrueView};
 use octobayes_models::HashGrid;
 use octobayes_synth::{DEPTH_PNG_SCALE, DatasetSettings, Mesh, MeshScene, Up, write_dataset};
 use octobayes_train::{DatasetFiles, Selection, Shot, TrainSettings, quality};
@@ -151,6 +151,11 @@ pub struct Model {
 }
 
 impl Data {
+    /// True depth of the held-out views.
+    pub fn depth_files(&self) -> DepthFiles {
+        self.depth.clone()
+    }
+
     /// A selection of a data set's training images.
     fn read(folder: PathBuf, selection: &Selection, depth: DepthFiles, depth_step: f64, stride: u32) -> Result<Self> {
         let mut files = DatasetFiles::read(&folder)?;
@@ -269,5 +274,6 @@ fn image(shot: &Shot, pixel_offset: f64, stride: u32, depth: Option<f64>) -> Tru
         covered,
         distance,
         readings,
+        parts: TrueParts::default(),
     }
 }
