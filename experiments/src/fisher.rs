@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use octobayes_train::{PixelGradient, PixelGradients};
+use crate::pixel_gradient::{PixelGradient, PixelGradients};
 
 /// λ of the authors' program.
 pub const LAMBDA: f64 = 1e-6;

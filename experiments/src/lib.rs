@@ -23,6 +23,7 @@ pub mod kitchen;
 pub mod knot;
 pub mod memory;
 pub mod meshes;
+pub mod pixel_gradient;
 pub mod program;
 pub mod ranking;
 pub mod recall;

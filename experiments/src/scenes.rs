@@ -11,7 +11,7 @@ use octobayes::monitor::Silent;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes_data::Views;
 use octobayes_models::Coordinates;
-use octobayes_models::open_in;
+use octobayes_models::open;
 use octobayes_synth::{DatasetSettings, Up, write_dataset};
 use octobayes_train::{DatasetFiles, TrainSettings};
 
@@ -63,7 +63,7 @@ impl Scene {
         let model = data.join("ppng-pretrained/NeRFSynthetic/ppng_1/lego.ppng");
         Ok(Self {
             name: "lego, Plenoptic PNG",
-            field: open_in(&model.to_string_lossy(), Some(Coordinates::Blender))?,
+            field: open(&model.to_string_lossy(), Some(Coordinates::Blender))?,
             cameras: lego_cameras(data)?,
             settings: RaySettings::default().rays(409_600),
             grid: GridSettings::default(),
@@ -75,7 +75,7 @@ impl Scene {
         let model = data.join("nerf-mlp-pretrained/lego.safetensors");
         Ok(Self {
             name: "lego, MLP",
-            field: open_in(&model.to_string_lossy(), None)?,
+            field: open(&model.to_string_lossy(), None)?,
             cameras: lego_cameras(data)?,
             settings: RaySettings::default().rays(409_600),
             grid: GridSettings::default(),
@@ -120,7 +120,7 @@ impl Scene {
         }
         Ok(Self {
             name: "armadillo (trained hash grid)",
-            field: open_in(&model.to_string_lossy(), None)?,
+            field: open(&model.to_string_lossy(), None)?,
             cameras: shots.iter().map(|shot| shot.camera).collect(),
             settings: RaySettings::default().rays(204_800),
             grid: GridSettings::default(),
@@ -149,7 +149,7 @@ fn lego_cameras(data: &Path) -> Result<Vec<Camera>> {
 
 /// A Plenoptic PNG with its own poses; the lens has `fov` degrees along x.
 fn own_poses(data: &Path, file: &str, name: &'static str, fov: f64, background: Vec3) -> Result<Scene> {
-    let field = open_in(&data.join("ppng-pretrained").join(file).to_string_lossy(), Some(Coordinates::Ngp))?;
+    let field = open(&data.join("ppng-pretrained").join(file).to_string_lossy(), Some(Coordinates::Ngp))?;
     let intrinsics = Intrinsics { fov_x: Some(fov.to_radians()), resolution: Some([400, 300]) };
     let cameras = field.cameras(&intrinsics)?.unwrap_or_default();
     let settings = RaySettings::default().rays(409_600).background(background);

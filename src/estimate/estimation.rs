@@ -128,7 +128,7 @@ pub struct Estimation<'a> {
 impl<'a> Estimation<'a> {
     /// Creates a run for the uncertainty of `model` given its training `cameras`, over the model's own box.
     ///
-    /// What the model says that it [covers](Model::covered) is a better choice where strays lie far away. What a model
+    /// Use [`Model::covered`] where single parts lie far away. What a model
     /// [lacks](Model::lacks) is refused.
     pub fn new(model: &'a dyn Model, cameras: &'a [Camera]) -> Self {
         Self {

@@ -1,7 +1,7 @@
 //! Whether a vertex near few rays borrows from its neighbours.
 
-/// To pooling, a vertex has moved if its own information changes log10 U by more than this, decades. The octree's
-/// tolerance must not decide that: whether a vertex counts changes its neighbours by decades, on a dense grid as well.
+/// To pooling, a vertex has moved if its own information changes log10 U by more than this, decades. It does
+/// not depend on the octree's tolerance: whether a vertex counts changes its neighbours by decades.
 pub const MIN_CHANGE: f64 = 0.01;
 
 choices! {

@@ -190,14 +190,6 @@ impl Occupancy {
         })
     }
 
-    /// Share of the cells whose bound exceeds `density`.
-    #[must_use]
-    pub fn share_above(&self, density: f32) -> f64 {
-        let n = self.resolution;
-        let cells = (0..n * n * n).map(|i| [i / (n * n), i / n % n, i % n]);
-        cells.filter(|&cell| self.majorant.value(0, cell) > density).count() as f64 / (n * n * n) as f64
-    }
-
     /// Bytes on the heap.
     #[must_use]
     pub fn memory(&self) -> usize {
@@ -257,9 +249,16 @@ mod tests {
                 }
             }
         }
-        assert!(occupancy.share_above(1.0) < 0.5);
+        assert!(share_above(&occupancy, 1.0) < 0.5);
         assert_eq!(occupancy.majorant(DVec3::new(-1.001, 0.0, 0.0)), 0.0);
         assert!(occupancy.majorant(DVec3::new(1.0, 0.0, -0.7)) > 100.0, "the upper face belongs to the last cell");
+    }
+
+    /// Share of the cells whose bound exceeds `density`.
+    fn share_above(occupancy: &Occupancy, density: f32) -> f64 {
+        let n = occupancy.resolution;
+        let cells = (0..n * n * n).map(|i| [i / (n * n), i / n % n, i % n]);
+        cells.filter(|&cell| occupancy.majorant.value(0, cell) > density).count() as f64 / (n * n * n) as f64
     }
 
     /// A post 100 times thinner than a cell of a grid with 32 cells per axis, placed between the sampled points.
@@ -300,7 +299,7 @@ mod tests {
         // The slab |x| < ½ cuts 12 cells across [-1, 1] into 3, 6, 3.
         // Its neighbours touch it within the rounding pad.
         let occupancy = Occupancy::build(&ClosedForm::slab(4.0), 12, 0.0, &Silent).unwrap();
-        assert_eq!(occupancy.share_above(0.0), 8.0 / 12.0);
-        assert_eq!(occupancy.share_above(5.0), 0.0);
+        assert_eq!(share_above(&occupancy, 0.0), 8.0 / 12.0);
+        assert_eq!(share_above(&occupancy, 5.0), 0.0);
     }
 }

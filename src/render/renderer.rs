@@ -1,4 +1,4 @@
-//! A model in front of its background, ready for rays: what runs, images, evaluations and next views ask of it.
+//! A model in front of its background, ready for rays: the interface that runs, images, evaluations and next views use.
 //!
 //! Rays of a volume are marched one by one, in any order. Any other model prepares a [`CameraView`] first, and its
 //! rays are drawn camera by camera.

@@ -249,7 +249,7 @@ impl WeightedRays<'_> {
             for ((variances, out), variance) in
                 row.posterior_variance.iter().zip(&mut row.depth_deviation).zip(of_depth)
             {
-                // No depth, no place to ask about.
+                // Without a depth there is no point to query.
                 let unexplained = if variances[r].is_nan() { f64::NAN } else { variance.unexplained(ray.at_expected) };
                 out.push((variances[r] + ray.spread.powi(2) + unexplained).sqrt());
             }

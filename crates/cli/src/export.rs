@@ -24,7 +24,7 @@ use octobayes_splats::Splats;
 
 /// Write a field for other tools: NumPy, ParaView, CloudCompare, Blender, spreadsheets, the official code
 ///
-/// The extension of FILE says what is written. Of the field alone:
+/// The extension of FILE selects what is written. Of the field alone:
 ///
 ///   .npz  its leaves: centre, edge, level, log10 U, rays, what was seen, 3x3 covariance
 ///   .htg  the octree as VTK hyper tree grid (ParaView): log10 U, level, rays

@@ -151,7 +151,7 @@ impl Args {
 
     fn model(&self) -> Result<()> {
         let refused = || Error::setting("FILE", UTF_8, self.file.display().to_string());
-        let field = octobayes_models::open(self.file.to_str().ok_or_else(refused)?)?;
+        let field = octobayes_models::open(self.file.to_str().ok_or_else(refused)?, None)?;
         let bounds = field.bounds();
         let cameras = field.training_cameras();
         if self.json {

@@ -25,10 +25,10 @@ use octobayes_show::picture::{Bar, scalar_panel, write_sheet};
 /// Most candidates and views.
 const MAX_COUNT: u64 = 100_000;
 
-/// Rank cameras by what their images, not yet taken, would tell
+/// Rank candidate cameras by how much their images would reduce the uncertainty
 ///
-/// Takes the candidate whose pixels would tell most of the displacements that the training images leave free, adds it,
-/// takes the best one beside it, and so on. The gain is the sum over vertices of 1/2 log det(I + P^-1 dP), nats, where
+/// Takes the candidate whose pixels most constrain the displacements that the training images leave free, adds it, takes
+/// the best one beside it, and so on. The gain is the sum over vertices of 1/2 log det(I + P^-1 dP), nats, where
 /// P is the precision by `--scale data` and dP what the candidate's pixels add to it through the model. No image is
 /// needed.
 ///
@@ -141,7 +141,7 @@ pub struct Args {
     #[arg(long, value_name = "CAMERAS.json", help_heading = heading::OUTPUT)]
     chosen: Option<PathBuf>,
 
-    /// Draw what each pixel of the first view would tell by itself, as .png or .exr; at most 256 pixels a side
+    /// Draw how much each pixel of the first view would add by itself, as .png or .exr; at most 256 pixels a side
     #[arg(long, value_name = "GAIN.exr|png", help_heading = heading::OUTPUT)]
     map: Option<PathBuf>,
 

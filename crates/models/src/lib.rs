@@ -16,7 +16,7 @@
 //! let folder = tempfile::tempdir()?;
 //! let path = folder.path().join("ball.npz");
 //! write_voxel_grid(&VoxelGrid::bake(&ClosedForm::ball(), [9; 3], Vec3::Z), &path)?;
-//! let model = open(path.to_str().unwrap())?;
+//! let model = open(path.to_str().unwrap(), None)?;
 //! assert_eq!(model.describe(), "voxel grid of 9 x 9 x 9 points");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -36,6 +36,6 @@ mod window;
 
 pub use hash_grid::{HashGrid, HashGridConfig};
 pub use mlp::NerfMlp;
-pub use open::{checksum, checksum_in, has_coordinates, is_of_splats, open, open_in, open_model, refuse_model, volume};
+pub use open::{checksum, has_coordinates, is_of_splats, open, open_model, refuse_model, volume};
 pub use ppng::{Coordinates, Ppng};
 pub use voxels::{read_voxel_grid, write_voxel_grid};

@@ -26,11 +26,11 @@ fn no_volume(name: &str) -> Error {
     Error::setting(format!("model `{name}`"), expected, "Gaussian splats")
 }
 
-/// Opens the model that `name` names: what [`open_in`] opens, or a file of [`Splats`]. `mode` is how splats are drawn,
+/// Opens the model that `name` names: what [`open`] opens, or a file of [`Splats`]. `mode` is how splats are drawn,
 /// if not those of their file.
 ///
 /// # Errors
-/// As [`open_in`] and [`Splats::read`]; if a mode is given for a volume.
+/// As [`open`] and [`Splats::read`]; if a mode is given for a volume.
 pub fn open_model(name: &str, coordinates: Option<Coordinates>, mode: Option<RenderMode>) -> Result<Arc<dyn Model>> {
     let path = Path::new(name);
     if !is_of_splats(name) {
@@ -62,19 +62,12 @@ pub fn is_of_splats(model: &str) -> bool {
 /// `scene:NAME` is a built-in scene. Anything else is a file, read by its extension:
 /// `.safetensors` for a hash grid of `octobayes train` (by its metadata) or an MLP NeRF, `.ckpt`,
 /// `.pt`, `.pth` or `.tar` for an MLP NeRF as nerf-pytorch saves it, `.npz` for a voxel grid, `.ppng` for a Plenoptic
-/// PNG in the coordinates of its file.
+/// PNG, in the coordinates of its file unless others are given.
 ///
 /// # Errors
-/// If the scene or extension is unknown, or the file is not of the kind of its extension.
-pub fn open(model: &str) -> Result<Box<dyn TrainedField>> {
-    open_in(model, None)
-}
-
-/// [`open`], with a choice of scene coordinates for a Plenoptic PNG.
-///
-/// # Errors
-/// As [`open`]; if coordinates are given for any other kind of model.
-pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn TrainedField>> {
+/// If the scene or extension is unknown, if the file is not of the kind of its extension, or if coordinates are given
+/// for any other kind of model.
+pub fn open(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn TrainedField>> {
     if is_of_splats(model) { Err(no_volume(model)) } else { open_volume(model, coordinates) }
 }
 
@@ -144,21 +137,14 @@ fn is_of_colmap(path: &Path) -> bool {
     Views::files(path) != [path] || ["points3D.bin", "points3D.txt", "points3D.ply", "database.db"].contains(&name)
 }
 
-/// Checksum of what [`open_in`] opens with these arguments.
+/// Checksum of what [`open_model`] opens with these arguments.
 ///
-/// It covers a file's content and coordinates, not its path. For a built-in scene it covers the name.
-///
-/// # Errors
-/// If the file cannot be read.
-pub fn checksum(model: &str, coordinates: Option<Coordinates>) -> Result<u32> {
-    checksum_in(model, coordinates, None)
-}
-
-/// [`checksum`] of what [`open_model`] opens. Splats in a given mode are another model than those in their file's.
+/// It covers a file's content and coordinates, not its path. Splats in a given mode are another model than those in
+/// their file's. For a built-in scene it covers the name.
 ///
 /// # Errors
 /// If the file cannot be read.
-pub fn checksum_in(model: &str, coordinates: Option<Coordinates>, mode: Option<RenderMode>) -> Result<u32> {
+pub fn checksum(model: &str, coordinates: Option<Coordinates>, mode: Option<RenderMode>) -> Result<u32> {
     if model.starts_with("scene:") {
         return Ok(crc32fast::hash(model.as_bytes()));
     }
@@ -185,10 +171,10 @@ mod tests {
             path.to_str().unwrap().to_string()
         };
         let (a, b, c) = (write("a.ppng", b"one"), write("b.ppng", b"one"), write("c.ppng", b"two"));
-        let sum = |model: &str, coordinates| checksum(model, coordinates).unwrap();
+        let sum = |model: &str, coordinates| checksum(model, coordinates, None).unwrap();
         assert_eq!(sum(&a, None), sum(&b, Some(Coordinates::Ngp)));
         assert!(sum(&a, None) != sum(&c, None) && sum(&a, None) != sum(&a, Some(Coordinates::Blender)));
         assert!(sum("scene:ball", None) != sum("scene:city", None));
-        assert!(checksum("none.npz", None).is_err());
+        assert!(checksum("none.npz", None, None).is_err());
     }
 }

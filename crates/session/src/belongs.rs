@@ -96,7 +96,7 @@ fn coordinates_of(name: &str, checksum: Option<u32>) -> Result<Option<Coordinate
         return Ok(None);
     }
     for coordinates in Coordinates::ALL {
-        if checksum == Some(octobayes_models::checksum(name, Some(coordinates))?) {
+        if checksum == Some(octobayes_models::checksum(name, Some(coordinates), None)?) {
             return Ok(Some(coordinates));
         }
     }
@@ -109,7 +109,7 @@ fn mode_of(name: &str, checksum: Option<u32>) -> Result<Option<RenderMode>> {
         return Ok(None);
     }
     for mode in iter::once(None).chain(RenderMode::ALL.map(Some)) {
-        if checksum == Some(octobayes_models::checksum_in(name, None, mode)?) {
+        if checksum == Some(octobayes_models::checksum(name, None, mode)?) {
             return Ok(mode);
         }
     }

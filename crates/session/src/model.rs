@@ -40,7 +40,7 @@ impl OpenedModel {
         if let Some(mode) = mode {
             source = format!("{source} in {mode} mode");
         }
-        let checksum = octobayes_models::checksum_in(name, coordinates, mode)?;
+        let checksum = octobayes_models::checksum(name, coordinates, mode)?;
         Ok(Self { name: name.into(), model, coordinates, checksum, source })
     }
 

@@ -50,7 +50,7 @@ pub fn other_frame(centers: &[Vec3], views: &Views) -> Result<Option<String>> {
             file.display()
         )));
     }
-    // Points that fit as they are speak against a file that lies there by chance.
+    // If the points fit as they are, the file is probably of something else.
     let fits = misfits.first().is_some_and(|own| *own < NEAR_SHARE);
     Ok(frame_beside(&views.path).filter(|_| !fits).map(|file| {
         format!(

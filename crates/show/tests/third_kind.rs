@@ -258,6 +258,7 @@ fn all_verbs_work_on_a_third_kind_of_model() {
         covered: view.pixels.iter().map(|pixel| pixel.opacity > 0.5).collect(),
         distance: view.pixels.iter().map(|p| (p.opacity > 0.5).then_some(p.median_depth + 0.01)).collect(),
         readings: octobayes_data::DepthReadings::default(),
+        parts: octobayes_evaluation::TrueParts::default(),
     };
     let readings = Reading::from_field("discs", &field, None, None).unwrap();
     let evaluated = Evaluator::new(&*renderer, &readings).evaluate(&truth, 0, &Silent).unwrap();

@@ -44,7 +44,6 @@ mod batch;
 mod loss;
 mod march;
 mod occupancy;
-mod pixel_gradient;
 mod quality;
 mod run;
 mod splats;
@@ -54,14 +53,20 @@ mod trainer;
 mod views;
 
 pub use octobayes_data::Selection;
-// For the experiment that compares measures with the gradients of all parameters.
-#[doc(hidden)]
-pub use pixel_gradient::{PixelGradient, PixelGradients};
 pub use quality::{Quality, one_color, quality, quality_within};
 pub use run::{Budget, Description, Finished, Progress, Run, StateFile, Training};
 pub use splats::{Rates, Refitted, SplatOrigin, SplatSettings, SplatTrainer, box_of_points, refit};
 pub use trainer::{StepReport, Trainer};
 pub use views::{DatasetFiles, Shot};
+
+/// Parts of a step, for the experiment whose posteriors are over a hash grid's parameters.
+#[doc(hidden)]
+pub mod parts {
+    pub use crate::loss::{RaySample, SampleGradient, composite, density_gradients, end_transmittance};
+    pub use crate::march::{Sample, Walk};
+    pub use crate::occupancy::OccupancyGrid;
+    pub use crate::tape::Tape;
+}
 
 use serde::{Deserialize, Serialize};
 

@@ -14,16 +14,22 @@ const HUBER: f32 = 0.1;
 /// A sample as the loss sees it.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RaySample {
+    /// Density, 1 / unit.
     pub sigma: f32,
+    /// Colour, in [0, 1].
     pub color: Vec3,
+    /// Length of its interval, units.
     pub delta: f32,
+    /// Distance along the ray, units.
     pub s: f32,
 }
 
 /// Derivatives of the loss with respect to a sample.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct SampleGradient {
+    /// By its density.
     pub sigma: f32,
+    /// By its colour.
     pub color: Vec3,
 }
 
@@ -37,6 +43,7 @@ pub struct RayLoss {
 }
 
 /// `[w_i, T_{i+1}]` of the samples of a ray.
+#[must_use]
 pub fn composite(samples: &[RaySample]) -> Vec<[f32; 2]> {
     let mut transmittance = 1.0_f32;
     let weigh = |sample: &RaySample| {
@@ -49,6 +56,7 @@ pub fn composite(samples: &[RaySample]) -> Vec<[f32; 2]> {
 }
 
 /// T_end of a ray with the weights of [`composite`].
+#[must_use]
 pub fn end_transmittance(weights: &[[f32; 2]]) -> f32 {
     weights.last().map_or(1.0, |[_, after]| *after)
 }

@@ -5,11 +5,14 @@ use super::occupancy::OccupancyGrid;
 use octobayes::geometry::{Domain, Ray};
 use octobayes_models::hash_grid::Space;
 
-/// One sample: distance along the ray and interval length in scene units, and position in the unit cube.
+/// One sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
+    /// Distance along the ray, scene units.
     pub t: f64,
+    /// Length of its interval, scene units.
     pub delta: f64,
+    /// Position in the unit cube.
     pub u: [f32; 3],
 }
 
@@ -23,6 +26,7 @@ pub struct Walk {
 
 impl Walk {
     /// Starts where the ray enters the space; `jitter` in `[0, 1)` shifts samples by that share of a step.
+    #[must_use]
     pub fn new(space: &Space, ray: Ray, jitter: f64) -> Self {
         let (entry, exit) = space.bounds.clip(&ray).unwrap_or_default();
         Self { ray, t: entry + jitter * space.step(), exit }

@@ -39,6 +39,7 @@ pub struct OccupancyGrid {
 
 impl OccupancyGrid {
     /// A grid in which every cell that a camera sees is occupied.
+    #[must_use]
     pub fn new(n: usize, space: &Space, cameras: &[Camera]) -> Self {
         let densities: Vec<f32> = (0..n * n * n)
             .into_par_iter()
@@ -56,6 +57,7 @@ impl OccupancyGrid {
     }
 
     /// Restores a grid from saved densities.
+    #[must_use]
     pub fn restore(n: usize, space: &Space, densities: Vec<f32>) -> Self {
         Self::from_densities(n, densities, (OPTICAL_THICKNESS * space.unit_length() / space.step()) as f32)
     }
@@ -67,6 +69,7 @@ impl OccupancyGrid {
     }
 
     /// Marks the cells that the window of a finished field reaches: occupied cells and their neighbours.
+    #[must_use]
     pub fn reached(n: usize, space: &Space, occupied: &[bool]) -> Self {
         let mut densities = vec![0.0; n * n * n];
         for (cell, _) in occupied.iter().enumerate().filter(|(_, occupied)| **occupied) {
@@ -81,6 +84,7 @@ impl OccupancyGrid {
     }
 
     /// `[n³]`: true for occupied cells.
+    #[must_use]
     pub fn occupied(&self) -> &[bool] {
         &self.occupied
     }
@@ -99,6 +103,7 @@ impl OccupancyGrid {
     }
 
     /// Cells per axis.
+    #[must_use]
     pub fn resolution(&self) -> usize {
         self.n
     }

@@ -85,11 +85,14 @@ impl Tape {
     }
 
     /// Number of samples.
+    #[must_use]
+    #[expect(clippy::len_without_is_empty, reason = "nobody needs it")]
     pub fn len(&self) -> usize {
         self.u.len()
     }
 
     /// Sample `i` as the loss sees it.
+    #[must_use]
     pub fn sample(&self, i: usize) -> RaySample {
         let [r, g, b, _] = self.color[i];
         RaySample { sigma: self.sigma[i], color: Vec3::new(r, g, b), delta: self.delta[i], s: self.s[i] }
@@ -97,6 +100,7 @@ impl Tape {
 
     /// Derivatives of a function by the networks' weights and by the features of the samples (`[samples]`), from those
     /// by density and colour of the samples (`[samples]`) and the harmonics of the rays (`[rays]`).
+    #[must_use]
     pub fn backpropagate(
         &self,
         transposed: &Transposed,

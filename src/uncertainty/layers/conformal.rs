@@ -12,8 +12,8 @@ use crate::uncertainty::UncertaintyField;
 /// (`conformal_factor` of `octobayes-evaluation`).
 ///
 /// It holds for pixels that are exchangeable with those that it was calibrated on: of views of this scene that were
-/// chosen as those were, by this model. It promises nothing of other scenes, of views from elsewhere, or of any single
-/// pixel.
+/// chosen as those were, by this model. It does not hold for other scenes, for views from elsewhere, or for any
+/// single pixel.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Conformal {
     /// Share of errors that the interval is to hold.

@@ -34,7 +34,7 @@ use octobayes_splats::Splats;
 const LEVEL: u8 = 6;
 
 octobayes::choices! {
-    /// What decides what goes.
+    /// What removal is based on.
     #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
     pub enum By {
         #[default]
@@ -62,7 +62,7 @@ pub struct Args {
     #[command(flatten)]
     model: ModelArgument,
 
-    /// A field of the model: its U becomes a column, and may say what goes (`--by uncertainty`)
+    /// A field of the model: its U becomes a column, and may decide what is removed (`--by uncertainty`)
     #[arg(value_name = "FIELD.oct", help_heading = heading::INPUT)]
     field: Option<PathBuf>,
 
@@ -84,7 +84,7 @@ pub struct Args {
     )]
     strength: Strength,
 
-    /// What decides
+    /// What removal is based on
     #[arg(long, value_parser = choice::<By>(), default_value = By::default().name(), help_heading = heading::STATISTICS)]
     by: By,
 
@@ -123,7 +123,8 @@ pub struct Args {
     #[arg(long, value_name = "REMOVED.ply", help_heading = heading::OUTPUT)]
     removed: Option<PathBuf>,
 
-    /// Write a row for every splat, or cell that pixels show or no image has: its place, why and at which strength it goes, what views show of it
+    /// Write a row for each splat or cell: position, reason, the strength from which on it is removed, and what views
+    /// show of it
     #[arg(long, value_name = "REPORT.csv", help_heading = heading::OUTPUT)]
     report: Option<PathBuf>,
 

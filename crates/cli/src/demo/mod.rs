@@ -133,7 +133,7 @@ impl Args {
         self.clean(&subject, octree, shown, bars)?;
         self.pictures(&subject, octree, shown, bars)?;
         self.viewer(&subject, octree, shown, bars)?;
-        let checksum = octobayes_models::checksum(&self.model_name(), None)?;
+        let checksum = octobayes_models::checksum(&self.model_name(), None, None)?;
         for (field, name) in [(octree, "field.oct"), (dense, "dense.oct")] {
             field.clone().for_queries().with_model(checksum).write(&self.output.join(name))?;
         }

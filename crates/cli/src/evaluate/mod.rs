@@ -57,17 +57,17 @@ pub struct Args {
     #[command(flatten)]
     frames: FrameOptions,
 
-    /// Folder of true depth maps [default: those that the camera file names, `depth_file_path`]. Only --clean-up does
-    /// without
+    /// Folder of true depth maps [default: those that the camera file names, `depth_file_path`]. Not
+    /// needed for --clean-up alone
     #[arg(long, value_name = "DIR", help_heading = heading::INPUT)]
     depth: Option<PathBuf>,
 
     #[command(flatten)]
     maps: DepthOptions,
 
-    /// Folder of true depth maps of the training views, which the model must know, with names and values like those of
-    /// --depth. Tells which pixels show what no training view saw, and how well every measure detects them (AUROC, and
-    /// AUPR). Where a map knows no depth, its view counts as seeing all that is there
+    /// Folder of true depth maps of the training views, which the model must store, with names and values like those
+    /// of --depth. Marks pixels whose surface no training view saw, and measures how well every measure detects them
+    /// (AUROC, and AUPR). A pixel without depth counts as having seen all that is along its ray
     #[arg(long, value_name = "DIR", help_heading = heading::INPUT, hide_short_help = true)]
     training_depth: Option<PathBuf>,
 
@@ -119,7 +119,7 @@ pub struct Args {
     /// Divides every error of depth by its deviation, and takes the quantile of these ratios that holds the share
     /// --probability of further ones (split conformal prediction). `render`, `query --ray` and `evaluate` then give the
     /// interval. Of pixels drawn like these (this scene, this model, views chosen as these were), it holds at least
-    /// that share, whatever the errors' shape. It promises nothing of other scenes, of views from other sides, or of a
+    /// that share, whatever the errors' shape. It does not hold for other scenes, for views from other sides, or for a
     /// single pixel. Pixels of one image depend on each other, so views that were left out one by one show how far a
     /// single view may be off. The covariance is the field's own, or the first of --covariance.
     #[arg(long, value_name = "FIELD.oct", help_heading = heading::OUTPUT)]

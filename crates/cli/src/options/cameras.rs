@@ -75,7 +75,7 @@ pub struct TrainingOptions {
     #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
     pub force: bool,
 
-    /// How splats smaller than a pixel are drawn: as they were trained [default: as their file says, else classic]
+    /// How splats smaller than a pixel are drawn: as they were trained [default: as stated in their file, else classic]
     #[arg(
         long,
         value_name = "MODE",

@@ -58,7 +58,7 @@ const TEST_PIXELS: usize = 200_000;
     octobayes train fox -o fox.safetensors --contract linf:2.5,-2,0,3.6 --time 5m\n  \
     octobayes train lego -o splats/lego.ply --splats --resolution 200 --steps 4000\n  \
     octobayes train lego -o member.safetensors --views 10 --steps 3000 --members 10      # member-0 ... member-9\n\
-    then: octobayes uncertainty lego.safetensors -o lego.oct      # the model knows its cameras")]
+    then: octobayes uncertainty lego.safetensors -o lego.oct      # the model stores its cameras")]
 pub struct Args {
     /// Folder or camera file with images (PNG or JPEG)
     #[arg(value_name = "DATASET")]
@@ -140,8 +140,8 @@ pub struct Args {
 
     /// Box of the scene: x0,y0,z0,x1,y1,z1 in scene units; a hash grid models nothing outside,
     /// splats begin within [default: `aabb` of the
-    /// camera file, else instant-ngp's cube: of edge 3.03 times `aabb_scale` around the origin, unless `scale` and
-    /// `offset` say otherwise]
+    /// camera file, else instant-ngp's cube: of edge 3.03 times `aabb_scale` around the origin, unless the file has
+    /// `scale` and `offset`]
     #[arg(
         long = "box",
         value_name = "BOX",

@@ -37,7 +37,7 @@ use octobayes_session::{Needs, OpenedModel, Session, given_up};
 /// number of rays drawn, including those that hit nothing. `weight` (f32, N, the sample's share of the pixel) is
 /// optional, and `training_pixels` is for --scale data. The file may be larger than memory.
 #[derive(clap::Args)]
-#[command(after_help = "Examples (a model of `train` knows its cameras):\n  \
+#[command(after_help = "Examples (a model of `train` stores its cameras):\n  \
     octobayes uncertainty lego.safetensors -o lego.oct --rays 409600\n  \
     octobayes uncertainty lego.npz --cameras lego_train.json -o lego.oct --rays 409600\n  \
     octobayes uncertainty scene.ply --cameras cameras.json -o scene.oct")]
@@ -144,8 +144,8 @@ pub struct Args {
     /// The names of the training images start from DIR: it is the data set that the model was trained on, or the
     /// folder of the camera file. They have the size of the cameras' pictures. Their residuals are kept at the points
     /// of a lattice of at most 64 cells a side, and the deviation of depth becomes
-    /// sqrt(Var + s^2 + (c residual)^2), where c is a 10th of the longest edge of the field's box, for all scenes (in
-    /// contracted space, of the part that is not). The field also stores how much the colours of the
+    /// sqrt(Var + s^2 + (c residual)^2), where c is a 10th of the longest edge of the field's box, for all scenes (of
+    /// the ball, if space is contracted). The field also stores how much the colours of the
     /// images differ at each place, and `evaluate` and `render` show where they agree. U stays as it is. `merge` needs
     /// one field that was compared with images. Needs --scale data.
     #[arg(long, value_name = "DIR", help_heading = heading::STATISTICS)]

@@ -401,6 +401,7 @@ impl TrainedField for HashGrid {
     }
 }
 
+#[doc(hidden)]
 pub mod slow;
 #[cfg(test)]
 mod tests;

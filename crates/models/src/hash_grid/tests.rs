@@ -225,7 +225,7 @@ fn files_keep_every_bit() {
         assert_eq!(read.training(), field.training());
         read.write(&b).unwrap();
         assert_eq!(std::fs::read(&a).unwrap(), std::fs::read(&b).unwrap());
-        let opened = crate::open(a.to_str().unwrap()).unwrap();
+        let opened = crate::open(a.to_str().unwrap(), None).unwrap();
         assert_eq!(opened.describe(), field.describe());
         let positions = positions(&field, &mut rng, 100);
         let (mut before, mut after) = (vec![0.0; 100], vec![1.0; 100]);

@@ -9,7 +9,7 @@ use octobayes::monitor::Silent;
 use octobayes::render::GradientMethod;
 use octobayes_data::Views;
 use octobayes_models::Coordinates;
-use octobayes_models::open_in;
+use octobayes_models::open;
 
 use super::data;
 
@@ -20,7 +20,7 @@ fn mlp(scene: &str) -> (String, Vec<Camera>) {
 }
 
 fn sight(model: &str, coordinates: Option<Coordinates>, cameras: Option<Vec<Camera>>) -> CoverageCheck {
-    let field = open_in(model, coordinates).unwrap();
+    let field = open(model, coordinates).unwrap();
     // The angle of the NeRF-synthetic cameras; phones have about 60 degrees.
     let fov = if model.contains("NeRFSynthetic") { 0.691_111_2 } else { 1.0 };
     let intrinsics = Intrinsics { fov_x: Some(fov), resolution: Some([100, 100]) };

@@ -71,8 +71,8 @@ impl Session {
 
 impl Prepared<'_> {
     /// Compares the model with the images beside the cameras. Refuses cameras whose images it does not show at all,
-    /// unless forced. Warns if it shows them poorly, and of splats that may lie in another frame, unless images speak
-    /// against that or the message was sent already. Notes how well splats show them.
+    /// unless forced. Warns if it shows them poorly, and of splats that may lie in another frame, unless the images
+    /// fit or the message was sent already. Notes how well splats show them.
     pub(super) fn check_images(&mut self, is_frame_open: bool, tell: &mut dyn FnMut(Message)) -> Result<()> {
         let (session, stream) = (self.session, self.run.stream());
         let (frames, offset, room) = (session.frames_with_images(), stream.pixel_offset, self.run.room_for_pictures());

@@ -56,7 +56,7 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<Splats> {
         raw.filter(|i| filter.number(i));
         notes.push(format!(
             "`{}` of Mip-Splatting is applied to scales and opacities; splats are drawn in mode `{}` unless \
-             --splat-mode says another",
+             --splat-mode sets another",
             filter.name, raw.mode
         ));
     }

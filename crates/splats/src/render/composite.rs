@@ -50,19 +50,6 @@ impl SplatView<'_> {
         self.footprints[hit.footprint as usize].depth
     }
 
-    /// Depth at which half of the light of all `hits` is reached, scene units; 0 if there are none.
-    #[must_use]
-    pub fn half_depth(&self, hits: &Hits) -> f64 {
-        // Σ w = 1 − T_end.
-        let half = 0.5 * (1.0 - hits.passed);
-        let mut reached = 0.0;
-        let at = hits.list.iter().find(|hit| {
-            reached += hit.weight();
-            reached >= half
-        });
-        at.map_or(0.0, |hit| self.depth(hit))
-    }
-
     /// Finds what is shown at an image point, pixels from the top left corner.
     pub fn hits(&self, at: [f64; 2], hits: &mut Hits) {
         let p = DVec2::from(at);

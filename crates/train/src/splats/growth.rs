@@ -24,7 +24,7 @@ const SHRINK: f32 = -0.35;
 /// Deviations by which each of the two moves.
 const SPLIT_DISTANCE: f32 = 0.7;
 
-/// How much images ask of a splat: the sum of the lengths of ∂L/∂m, and the number of steps that showed it.
+/// How strongly images pull at a splat: the sum of the lengths of ∂L/∂m, and the number of steps that showed it.
 pub type Asked = [f32; 2];
 
 /// The splats and what is kept for each.

@@ -10,6 +10,7 @@
 
 use std::ops::Range;
 
+use common::pixel_gradient::{PixelGradient, PixelGradients};
 use faer::linalg::solvers::Llt;
 use faer::{Mat, Side};
 use glam::Vec3;
@@ -18,7 +19,6 @@ use octobayes::rays::{PixelSequence, Pixels};
 use octobayes::{Error, Result};
 use octobayes_evaluation::{EvaluatedView, TrueView};
 use octobayes_models::HashGrid;
-use octobayes_train::{PixelGradient, PixelGradients};
 use rayon::prelude::*;
 
 use common::fisher::{COLOR, Diagonal, LAMBDA};

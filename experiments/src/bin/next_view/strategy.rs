@@ -1,5 +1,6 @@
 //! Ways to choose the next images.
 
+use common::pixel_gradient::{PixelGradient, PixelGradients};
 use glam::Vec3;
 use octobayes::Result;
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
@@ -11,7 +12,6 @@ use octobayes::rays::{PixelSequence, Pixels};
 use octobayes::render::{Renderer, VolumeRenderer};
 use octobayes_models::HashGrid;
 use octobayes_next_view::{Gain, NextView, Settings, log_det};
-use octobayes_train::{PixelGradient, PixelGradients};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;

@@ -1,7 +1,7 @@
 //! Derivatives of a pixel by the parameters of a hash grid, for methods whose posterior is over the parameters:
 //! FisherRF (Jiang, Lei, Daniilidis, ECCV 2024) and Laplace's approximation (Daxberger et al., NeurIPS 2021).
 //!
-//! Letters as in the [loss](super::loss): colour C = Σ w c + T_end · background, expected depth D = Σ w s / W with
+//! Letters as in the loss of the trainer: colour C = Σ w c + T_end · background, expected depth D = Σ w s / W with
 //! W = Σ w. Both are functions of the weights: a_i = c_i and a_end = background; a_i = (s_i − D) / W and a_end = 0.
 
 use std::ops::Range;
@@ -9,13 +9,12 @@ use std::ops::Range;
 use glam::Vec3;
 use rustc_hash::FxHashMap;
 
-use super::loss::{RaySample, SampleGradient, composite, density_gradients, end_transmittance};
-use super::march::Walk;
-use super::occupancy::OccupancyGrid;
-use super::tape::Tape;
 use octobayes::geometry::Ray;
 use octobayes_models::HashGrid;
 use octobayes_models::hash_grid::{Entry, LAYERS, N_FEATURES_PER_LEVEL, Transposed, harmonics};
+use octobayes_train::parts::{
+    OccupancyGrid, RaySample, SampleGradient, Tape, Walk, composite, density_gradients, end_transmittance,
+};
 
 const OUTPUTS: usize = PixelGradient::OUTPUTS;
 
@@ -157,11 +156,11 @@ mod tests {
     use rand::{RngExt, SeedableRng};
 
     use super::*;
-    use crate::march::Sample;
     use octobayes::field::{ClosedForm, RadianceField};
     use octobayes::geometry::{Domain, Norm};
     use octobayes_models::hash_grid::Space;
     use octobayes_models::hash_grid::slow::{SMALL, SlowField, random_parameters};
+    use octobayes_train::parts::Sample;
 
     const BACKGROUND: Vec3 = Vec3::new(0.9, 0.2, 0.6);
     /// How far values and derivatives of a ray with so many samples may lie apart, relative to 1 or to the largest
