@@ -53,7 +53,7 @@ impl Truth {
         let (maps, pattern) = (Some(folder.join("test")), "{}_depth_0001.png".into());
         let depth = DepthFiles { folder: maps, pattern, scale: Some([8.0, -8.0]), kind: DepthKind::Euclidean };
         let found = depth.find(&views.path, &views.frames, &views.frames)?;
-        let depth = DepthMeaning { encoding: found.encoding, bounds: Aabb::centered_cube(LEGO) };
+        let depth = DepthMeaning { encoding: found.encoding, bounds: Aabb::centered_cube(LEGO), jump: 0.0 };
         let frames = found.frames.iter().step_by(every);
         let views =
             frames.map(|frame| TrueView::read(frame, Some(&depth), DVec3::ONE, 0.5, stride)).collect::<Result<_>>()?;

@@ -707,17 +707,20 @@ def evaluate(
     ``ValueError`` says so if nearly none is left, or if half of them are off by more than the box is wide.
 
     object_masks: folder of masks in which the object is not black, 'NAME.png' of each view; ``None`` for those that the
-    camera file names. training_depth: folder of the training views' maps; every measure then says how well it detects what no training
+    camera file names.
+    training_depth: folder of the training views' maps; every measure then says how well it detects what no training
     view saw. ensemble: two or more models that were trained like this one, not callables. clean_up: also remove density
     (or splats) above ten thresholds of log10 U; alone, it needs no depth.
 
     Returns what ``octobayes evaluate --json`` prints for these arguments, as a dictionary: 'readings' and 'baselines'
-    (name; 'ause_pooled', 'ause_mean_over_views', 'risk' and 'least_risk' by error kind; 'rank_correlation' and
+    (name; 'ause_pooled', 'ause_from_start' (where both curves are divided by their start), 'rise' (of the curve above
+    it), 'ause_mean_over_views', 'risk' and 'least_risk' by error kind; 'rank_correlation' and
     'rank_correlation_mean_over_views'; 'calibration' of standard deviations of depth, which fields of scale='data'
     give, and 'confirmed', the same where three training views see a surface, if the model stores its cameras, and
     'photo_consistent', the same where images agree on its colour, too, if u was computed with images;
     'never_seen' with training_depth), 'depth_error', 'depth_readings' (pixels of the maps: 'measured', and the others
-    by reason), 'psnr', 'views', 'pixels', 'clean_up' (a dictionary for each threshold) and others. Raises as
+    by reason), 'kinds' (share, depth error and measures of the object, silhouettes, thin
+    parts, ...), 'psnr', 'views', 'pixels', 'clean_up' (a dictionary for each threshold) and others. Raises as
     :func:`uncertainty` does.
     """
     named = u if isinstance(u, Mapping) else {"u": u}

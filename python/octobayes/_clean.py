@@ -32,7 +32,8 @@ class Cleaned:
     kept: NDArray[np.bool_]
     #: ``[n]``: why each goes, one of 'floating', 'unseen', 'outside', 'transparent', or 'kept'.
     reason: NDArray[np.str_]
-    #: ``[n, 3]``: centres of the parts, scene units. Cells that no pixel shows are no parts.
+    #: ``[n, 3]``: centres of the parts, scene units. A cell is a part if a pixel shows it, or if it has
+    #: matter that no camera has in its image.
     position: NDArray[np.float32]
     #: ``[n]`` each: 'score' (how far views contradict it, at most 1), 'front_share' (the part of its weight that is in
     #: front of what pixels show), 'weight' (sum of its shares of the pixels that were looked at), 'views' (training

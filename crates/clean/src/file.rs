@@ -112,7 +112,7 @@ impl VolumeFile {
         }
     }
 
-    /// Writes what is left at a strength.
+    /// Writes what is left at a strength. `found` is of the [cells](Self::cells) of this file.
     ///
     /// # Errors
     /// As [`VolumeFile::not_kept`], if the model is no volume, if the file cannot be written, or

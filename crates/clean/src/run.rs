@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use octobayes::geometry::{Camera, Mask};
 use octobayes::monitor::{Monitor, Silent, check};
-use octobayes::uncertainty::UncertaintyField;
+use octobayes::uncertainty::{Estimate, UncertaintyField};
 use octobayes::{Error, Result};
 use serde::Serialize;
 
@@ -38,8 +38,8 @@ pub struct Cleaned {
     pub pixels: [u64; 2],
     /// How often they were looked at.
     pub looks: usize,
-    /// `[n]`: U of the centre of each part, if a [field](Self::with_field) was given.
-    pub uncertainty: Option<Vec<f64>>,
+    /// `[n]`: U at the centre of each part, if a [field](Self::with_field) was given.
+    pub uncertainty: Option<Vec<Estimate>>,
 }
 
 impl Cleaned {
@@ -69,12 +69,11 @@ impl Cleaned {
     #[must_use]
     pub fn with_field(self, centers: &[Vec3], field: &UncertaintyField) -> Self {
         assert_eq!(centers.len(), self.removals.len(), "centres of parts");
-        let uncertainty = field.query_all(centers).into_iter().map(|estimate| estimate.uncertainty).collect();
-        Self { uncertainty: Some(uncertainty), ..self }
+        Self { uncertainty: Some(field.query_all(centers)), ..self }
     }
 
     /// The same parts, of which those go whose log10 U exceeds a limit, `[Strength]`, and no others: the clean-up of
-    /// Bayes' Rays (Sec. 5.2).
+    /// Bayes' Rays (Sec. 5.2). What lies outside the field stays, as nothing is known of it.
     ///
     /// # Panics
     /// If no [field](Self::with_field) was given.
@@ -82,7 +81,8 @@ impl Cleaned {
     pub fn by_uncertainty(mut self, limits: [f64; 3]) -> Self {
         let uncertainty = self.uncertainty.as_ref().expect("a field was given");
         for (i, removal) in self.removals.iter_mut().enumerate() {
-            let goes = |strength: &Strength| uncertainty[i].log10() > limits[*strength as usize];
+            let Estimate { uncertainty, inside, .. } = uncertainty[i];
+            let goes = |strength: &Strength| inside && uncertainty.log10() > limits[*strength as usize];
             let strength = Strength::ALL.into_iter().find(goes);
             let (reason, score) = (Reason::Loose, self.scores[i]);
             *removal = strength.map(|strength| Removal { reason, strength, score, look: 1 });

@@ -90,7 +90,8 @@ impl Cells {
     }
 }
 
-/// The cells of a volume that pixels show or no camera has in its image, and what goes of them.
+/// The cells of a volume that pixels show or no camera has in its image (with [`Clean::hidden`] all with matter), and
+/// what goes of them.
 #[derive(Debug, Clone)]
 pub struct CleanedVolume {
     /// The grid.

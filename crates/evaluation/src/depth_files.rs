@@ -68,14 +68,23 @@ impl DepthFiles {
         Ok(FramesWithDepth { encoding, source: source.into(), files, frames })
     }
 
-    /// Finds the masks of the object of frames, as the maps in a folder.
+    /// Finds the masks of the object of `frames`, some of `all`, in a folder, as maps are found.
     ///
     /// # Errors
-    /// If a frame has none.
-    pub(crate) fn find_object_masks(folder: &Path, frames: Vec<Frame>) -> Result<Vec<Frame>> {
-        let files = Self { folder: None, pattern: "{}.png".into(), scale: None, kind: DepthKind::default() };
-        let found = |frame: Frame| Ok(Frame { object: Some(files.find_in(folder, &frame)?), ..frame });
-        frames.into_iter().map(found).collect()
+    /// If a frame has none, or if another frame has the same one.
+    pub(crate) fn find_object_masks(folder: &Path, frames: &[Frame], all: &[Frame]) -> Result<Vec<Frame>> {
+        const WHAT: &str = "masks of the object";
+        let mask = |frame: &Frame| existing(&candidates(folder, "{}.png", &frame.name));
+        let masks: Vec<(&str, PathBuf)> = all.iter().filter_map(|frame| Some((&*frame.name, mask(frame)?))).collect();
+        let chosen: HashSet<&str> = frames.iter().map(|frame| &*frame.name).collect();
+        let claims = masks.iter().map(|(name, path)| (*name, path.as_path()));
+        each_has_its_own(folder, WHAT, claims, |name| chosen.contains(name))?;
+        let with_mask = |frame: &Frame| {
+            let expected = format!("a PNG with the name of frame `{}`", frame.name);
+            let object = mask(frame).ok_or_else(|| Error::malformed(folder, WHAT, expected, "none"))?;
+            Ok(Frame { object: Some(object), ..frame.clone() })
+        };
+        frames.iter().map(with_mask).collect()
     }
 
     /// The meaning of the maps that the camera file names.

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::kinds::JUMP;
 use super::training_cameras::training_cameras;
 use super::{
     CleanUp, DepthError, DepthFiles, DepthMeaning, EvaluatedView, Evaluator, FramesWithDepth, Interval, Reading,
@@ -123,10 +124,7 @@ impl<'a> Evaluation<'a> {
         let is_known = |frame: &Frame| training.iter().any(|known| known.camera.is_like(&frame.camera, length));
         let split = FrameSplit::new(views).by_model(is_known);
         let frames = split.select(Part::HeldOut, &self.selection, |_| true)?;
-        let frames = match &self.object_masks {
-            Some(folder) => DepthFiles::find_object_masks(folder, frames)?,
-            None => frames,
-        };
+        let frames = if self.judges_depth() { self.with_object_masks(frames, &all)? } else { frames };
         let mut remarks = Vec::new();
         frames.iter().try_for_each(|frame| self.model.check_camera(&frame.camera))?;
         let known = frames.iter().filter(|frame| is_known(frame)).count();
@@ -161,6 +159,27 @@ impl<'a> Evaluation<'a> {
         let training_depth = self.training_depth.as_ref().map(maps).transpose()?;
         let used = split.describe(Part::HeldOut, &frames);
         Ok(Prepared { evaluation: self, frames, training, trained_on: known, depth, training_depth, used, remarks })
+    }
+
+    /// The frames with masks of the object: all of them or none.
+    fn with_object_masks(&self, frames: Vec<Frame>, all: &[Frame]) -> Result<Vec<Frame>> {
+        if let Some(folder) = &self.object_masks {
+            return DepthFiles::find_object_masks(folder, &frames, all);
+        }
+        let Some(with) = frames.iter().find_map(|frame| frame.object.as_ref()) else { return Ok(frames) };
+        for frame in &frames {
+            let wrong = |found: String| {
+                let expected =
+                    format!("a mask of the object for every frame, as {} (`object_mask_path`)", with.display());
+                Err(Error::malformed(&self.cameras, format!("frame `{}`", frame.name), expected, found))
+            };
+            match &frame.object {
+                None => return wrong("none".into()),
+                Some(mask) if !mask.is_file() => return wrong(format!("no file {}", mask.display())),
+                Some(_) => {}
+            }
+        }
+        Ok(frames)
     }
 
     /// In words, the memory that the pixels take until all views are judged, if it is much.
@@ -252,7 +271,8 @@ impl Prepared<'_> {
         let Evaluation { model, settings, readings, .. } = &self.evaluation;
         let offset = settings.offset_for(*model);
         let bounds = model.main_box();
-        let meaning = |found: &FramesWithDepth| DepthMeaning { encoding: found.encoding, bounds };
+        let jump = JUMP * size_of(*model);
+        let meaning = |found: &FramesWithDepth| DepthMeaning { encoding: found.encoding, bounds, jump };
         let truly_seen =
             self.training_depth.as_ref().map(|found| truly_seen(found, &meaning(found), offset, monitor, tell));
         let truly_seen = truly_seen.transpose()?;
@@ -277,6 +297,9 @@ impl Prepared<'_> {
         let mut report = Report::new(&self.evaluation, &evaluator, views);
         if let Some(found) = &self.depth {
             report.depth = Some(found.source.to_string_lossy().into());
+            let masks = self.evaluation.object_masks.as_ref().unwrap_or(&self.evaluation.cameras);
+            let has_masks = found.frames.iter().any(|frame| frame.object.is_some());
+            report.object_masks = has_masks.then(|| masks.to_string_lossy().into());
             report.depth_readings = Some(looked.counts);
             let error = looked.error_of_depth(found, *model, tell)?;
             report.depth_error = Some(error);

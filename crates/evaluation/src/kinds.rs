@@ -7,7 +7,8 @@ use serde::Serialize;
 use super::{ByError, DepthError, EvaluatedView, Evaluator};
 use crate::metrics::{Calibration, ErrorKind, Sparsification, sparsification};
 
-/// A depth jumps between pixels if it changes by more than this, in lengths of the model's box.
+/// A depth jumps between pixels if it changes by more than this, in longest edges of the model's box, or of that of the
+/// ball, if space is contracted.
 pub const JUMP: f64 = 0.04;
 /// What is thin is at most so many pixels wide, along x or y.
 pub const THIN: usize = 5;

@@ -70,6 +70,8 @@ impl Reading {
 pub enum Baseline {
     /// [`octobayes::render::depth_variance`] of the ray's weights.
     RayVariance,
+    /// The model's median depth itself: far surfaces are measured worse. What surveyors' rules of thumb use.
+    Distance,
     /// s / √n.
     WeightsSpreadPerRootRay,
     /// s / n.
@@ -87,6 +89,7 @@ impl Baseline {
     pub fn name(self) -> &'static str {
         match self {
             Self::RayVariance => "ray-weight variance",
+            Self::Distance => "distance from the camera",
             Self::WeightsSpreadPerRootRay => "weights' spread / sqrt(rays)",
             Self::WeightsSpreadPerRay => "weights' spread / rays",
             Self::Random => "random",

@@ -24,6 +24,8 @@ pub struct Report {
     pub depth: Option<String>,
     /// Folder of the training views' depth maps.
     pub training_depth: Option<String>,
+    /// Where masks of the object come from: a folder, or the camera file.
+    pub object_masks: Option<String>,
     /// Names of the ensemble's members.
     pub ensemble: Vec<String>,
     /// What depth maps are taken for.
@@ -146,6 +148,7 @@ impl Report {
             cameras: of.cameras.to_string_lossy().into(),
             depth: None,
             training_depth: of.training_depth.as_ref().map(|folder| folder.to_string_lossy().into()),
+            object_masks: None,
             ensemble: of.ensemble.iter().map(|(name, _)| name.clone()).collect(),
             depth_kind: of.depth.kind,
             stride: of.stride,

@@ -285,7 +285,7 @@ fn every_measure_is_of_the_same_pixels() {
     let n = view.pixels.len();
     assert!(n > 50 && view.empty == 0 && view.psnr == f64::INFINITY, "{n} pixels");
     let measures = evaluator.measures();
-    assert_eq!(measures.len(), 6 + 5);
+    assert_eq!(measures.len(), 6 + 6);
     assert!(view.measures.len() == measures.len() && view.measures.iter().all(|m| m.len() == n));
 
     let of = |measure| &view.measures[measures.iter().position(|m| *m == measure).unwrap()];
@@ -298,6 +298,7 @@ fn every_measure_is_of_the_same_pixels() {
         let ray = camera.ray((i % 24) as f64 + 0.5, (i / 24) as f64 + 0.5);
         let exit = ball.bounds().clip(&ray).unwrap().1;
         assert_eq!(baseline(Baseline::EnsembleVariance)[k], ensemble_variance(&[pixel.median_depth, exit]));
+        assert_eq!(baseline(Baseline::Distance)[k], pixel.median_depth);
         let expected = ray.at(pixel.expected_depth).as_vec3();
         let deviation = (pixel.depth_variance + model.tracer.marcher.step.powi(2) / 12.0).sqrt();
         for (r, reading) in readings.iter().enumerate() {

@@ -241,7 +241,7 @@ mod tests {
                 octobayes_data::write_exr(&path, [400; 2], vec![("depth.Z", depths)]).unwrap();
             }
             let FramesWithDepth { frames, encoding, .. } = files.find(folder.path(), &frames, &frames).unwrap();
-            let depth = DepthMeaning { encoding, bounds: octobayes::geometry::Aabb::centered_cube(RADIUS) };
+            let depth = DepthMeaning { encoding, bounds: octobayes::geometry::Aabb::centered_cube(RADIUS), jump: 0.0 };
             let (views, readings) = TrainingViews::from_depth_maps(&frames, &depth, 0.5, &Silent).unwrap();
             assert_eq!((readings.measured, readings.total()), (320_000 - missed, 320_000), "{nothing}");
             views

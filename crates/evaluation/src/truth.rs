@@ -8,7 +8,7 @@ use octobayes_data::{
     DepthEncoding, DepthKind, DepthMap, DepthReadings, Frame, LargestDepth, PosedImage, read_masks, read_object,
 };
 
-use super::kinds::{JUMP, TrueParts, outlines};
+use super::kinds::{TrueParts, outlines};
 
 /// How depth maps are read.
 #[derive(Debug, Clone, Copy)]
@@ -17,6 +17,8 @@ pub struct DepthMeaning {
     pub encoding: DepthEncoding,
     /// The model's box: what lies far behind it is no depth of the scene ([`DepthMap::within`]).
     pub bounds: Aabb,
+    /// What a depth changes by where it jumps, scene units.
+    pub jump: f64,
 }
 
 impl DepthMeaning {
@@ -91,9 +93,10 @@ impl TrueView {
         };
         let distance = pixels.iter().map(measured).collect();
         let whole = frame.camera.resolution.map(|n| n as usize);
-        let jump = depth.map_or(0.0, |depth| JUMP * depth.bounds.longest_edge());
+        let jump = depth.map_or(0.0, |depth| depth.jump);
         let outlines = truth.as_ref().map(|map| outlines(map, whole, |i| image.alpha(i) <= 0.5, jump));
-        let shows_object = read_object(frame)?;
+        // Kinds are of pixels whose depth is judged.
+        let shows_object = if depth.is_some() { read_object(frame)? } else { None };
         let object = shows_object
             .iter()
             .flat_map(|mask| pixels.iter().map(|&i| mask.keeps((i % full_width) as u32, (i / full_width) as u32)));

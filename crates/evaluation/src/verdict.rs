@@ -47,7 +47,7 @@ impl Report {
             Some([u?, weights?, random?])
         };
         let areas: Vec<[f64; 3]> = views.iter().filter_map(of_view).collect();
-        if let Some(few) = few(judged.count, areas.len()) {
+        if let Some(few) = few(judged.count, judged.place(), areas.len()) {
             return vec![few];
         }
         let average = self.readings[best].ray_average.map_or(String::new(), |a| format!(" averaged `{}`", a.name()));
@@ -92,6 +92,8 @@ impl Report {
 /// The pixels that are judged: those of the object, if masks show it, else all.
 struct Pixels<'a> {
     report: &'a Report,
+    /// Whether masks show the object, and the figures of its pixels, if it has any.
+    is_of_object: bool,
     object: Option<&'a OfKind>,
     count: usize,
 }
@@ -101,13 +103,14 @@ impl<'a> Pixels<'a> {
         let object = report.kinds.iter().find(|of| of.kind == PixelKind::Object);
         let of_object =
             |view: &EvaluatedView| view.of_kind(PixelKind::Object).map(|is| is.iter().filter(|is| **is).count());
-        let count = object.map_or(report.pixels, |_| views.iter().filter_map(of_object).sum());
-        Self { report, object, count }
+        let is_of_object = !views.is_empty() && views.iter().all(|view| of_object(view).is_some());
+        let count = if is_of_object { views.iter().filter_map(of_object).sum() } else { report.pixels };
+        Self { report, is_of_object, object, count }
     }
 
     /// Values of the judged pixels of a view.
     fn of(&self, view: &EvaluatedView, values: &[f64]) -> Vec<f64> {
-        match view.of_kind(PixelKind::Object).filter(|_| self.object.is_some()) {
+        match view.of_kind(PixelKind::Object).filter(|_| self.is_of_object) {
             Some(is) => values.iter().zip(is).filter(|(_, is)| **is).map(|(value, _)| *value).collect(),
             None => values.to_vec(),
         }
@@ -117,20 +120,21 @@ impl<'a> Pixels<'a> {
     fn area(&self, m: usize) -> f64 {
         match self.object {
             Some(object) => object.measures[m].ause.map_or(f64::NAN, |ause| ause.mae),
+            None if self.is_of_object => f64::NAN,
             None => self.report.scored().nth(m).map_or(f64::NAN, |scored| scored.score.ause_pooled.mae),
         }
     }
 
     fn place(&self) -> &'static str {
-        self.object.map_or("", |_| " of the object")
+        if self.is_of_object { " of the object" } else { "" }
     }
 }
 
 /// Why there is no verdict, if there is none.
-fn few(pixels: usize, views: usize) -> Option<String> {
+fn few(pixels: usize, place: &str, views: usize) -> Option<String> {
     (pixels < MIN_PIXELS || views < MIN_VIEWS).then(|| {
         format!(
-            "No verdict: {pixels} pixels and {views} views that can be ranked; at least {MIN_PIXELS} and {MIN_VIEWS} \
+            "No verdict: {pixels} pixels{place} and {views} views that can be ranked; at least {MIN_PIXELS} and {MIN_VIEWS} \
              are needed."
         )
     })
@@ -241,7 +245,7 @@ mod tests {
         assert!(ranking(&chance, [0.7, 0.3, 0.7], "a", "5000 pixels").starts_with("U does not clearly rank"));
         let worse = clear.map(|[u, weights, random]| [random, weights, u]);
         assert!(ranking(&worse, [0.7, 0.3, 0.2], "a", "5000 pixels").starts_with("U does not rank"));
-        assert!(few(999, 8).is_some() && few(5000, 3).is_some() && few(1000, 4).is_none());
+        assert!(few(999, "", 8).is_some() && few(5000, "", 3).is_some() && few(1000, "", 4).is_none());
     }
 
     #[test]

@@ -84,7 +84,7 @@ impl<'a> Evaluator<'a> {
     pub fn measures(&self) -> Vec<Measure> {
         let readings = self.readings.iter().enumerate();
         let readings = readings.flat_map(|(i, r)| r.averages.iter().map(move |&average| Measure::Reading(i, average)));
-        let mut baselines = vec![Baseline::RayVariance];
+        let mut baselines = vec![Baseline::RayVariance, Baseline::Distance];
         if self.counted().is_some() {
             baselines.extend([Baseline::WeightsSpreadPerRootRay, Baseline::WeightsSpreadPerRay]);
         }
@@ -164,7 +164,8 @@ impl<'a> Evaluator<'a> {
         let is_unseen = |views: &TrainingViews, i: usize, d: f64| views.sighting(at(i, d)).views == 0;
         let never_seen: Vec<bool> =
             self.truly_seen.iter().flat_map(|views| seen.iter().map(|&(i, d)| is_unseen(views, i, d))).collect();
-        let kinds = kinds(truth, &seen, &never_seen, |i| rendered.pixels[i].median_depth);
+        let unseen = self.truly_seen.map(|_| &never_seen[..]);
+        let kinds = kinds(truth, &seen, unseen, |i| rendered.pixels[i].median_depth);
         let confirmed = self.training.map(|training| training.confirmed(camera, offset, &rendered));
         let confirmed: Vec<bool> = confirmed.iter().flat_map(|all| pixels.iter().map(|&i| all[i])).collect();
         let colors = self.color_spread().map(|spread| spread.of_view(camera, offset, &rendered));
@@ -194,6 +195,7 @@ impl<'a> Evaluator<'a> {
                 }
                 Measure::Baseline(baseline) => match baseline {
                     Baseline::RayVariance => each(&|i| rendered.pixels[i].depth_variance),
+                    Baseline::Distance => each(&|i| rendered.pixels[i].median_depth),
                     Baseline::WeightsSpreadPerRootRay => each(&|i| spread(i) / rays(i).sqrt()),
                     Baseline::WeightsSpreadPerRay => each(&|i| spread(i) / rays(i)),
                     Baseline::Random => pixels.iter().map(|_| random.random()).collect(),
@@ -287,7 +289,7 @@ impl<'a> Evaluator<'a> {
 fn kinds(
     truth: &TrueView,
     seen: &[(usize, f64)],
-    never_seen: &[bool],
+    never_seen: Option<&[bool]>,
     median: impl Fn(usize) -> f64,
 ) -> Vec<(PixelKind, Vec<bool>)> {
     let TrueParts { outlines, object, jump } = &truth.parts;
@@ -302,12 +304,10 @@ fn kinds(
     let of_outline = |is: fn(Outline) -> bool| -> Vec<bool> { seen.iter().map(|(i, _)| is(outlines[*i])).collect() };
     let (silhouette, thin) = (of_outline(|outline| outline.is_silhouette), of_outline(|outline| outline.is_thin));
     let in_front: Vec<bool> = seen.iter().map(|&(i, distance)| median(i) < distance - jump).collect();
-    let is_unseen = |k: usize| never_seen.get(k).copied().unwrap_or(false);
+    let is_unseen = |k: usize| never_seen.is_some_and(|unseen| unseen[k]);
     let other = (0..seen.len()).map(|k| !(silhouette[k] || thin[k] || in_front[k] || is_unseen(k))).collect();
     kinds.extend([(PixelKind::Silhouette, silhouette), (PixelKind::Thin, thin)]);
-    if !never_seen.is_empty() {
-        kinds.push((PixelKind::NeverSeen, never_seen.to_vec()));
-    }
+    kinds.extend(never_seen.map(|unseen| (PixelKind::NeverSeen, unseen.to_vec())));
     kinds.extend([(PixelKind::InFront, in_front), (PixelKind::Other, other)]);
     kinds
 }

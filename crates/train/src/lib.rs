@@ -55,7 +55,7 @@ mod views;
 pub use octobayes_data::Selection;
 pub use quality::{Quality, one_color, quality, quality_within};
 pub use run::{Budget, Description, Finished, Progress, Run, StateFile, Training};
-pub use splats::{Rates, Refitted, SplatOrigin, SplatSettings, SplatTrainer, box_of_points, refit};
+pub use splats::{Rates, Refitted, SplatOrigin, SplatSettings, SplatTrainer, box_of_points, check_mode, refit};
 pub use trainer::{StepReport, Trainer};
 pub use views::{DatasetFiles, Shot};
 

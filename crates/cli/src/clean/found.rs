@@ -138,7 +138,7 @@ pub fn write_report(path: &Path, found: &dyn Found) -> Result<()> {
             format!("{:.4}", of.peak[i]),
             of.views[i].to_string(),
         ];
-        let uncertainty = uncertainty.as_ref().map(|u| format!("{:.4e}", u[i]));
+        let uncertainty = uncertainty.as_ref().map(|u| format!("{:.4e}", u[i].uncertainty));
         table.write_record(row.into_iter().chain(uncertainty)).map_err(failed)?;
     }
     let file = table.into_inner().map_err(|e| Error::io(path, "cannot write")(e.into_error()))?;

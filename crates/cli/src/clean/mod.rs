@@ -18,7 +18,7 @@ use self::refit::Refit;
 use self::splats::FoundSplats;
 use self::volume::FoundVolume;
 use super::files::CommandFiles;
-use super::opened::{baked, open_field};
+use super::opened::open_field;
 use super::options::{CameraOptions, FrameOptions, ModelArgument, TrainingOptions, choice, count, heading};
 use super::progress::Bars;
 use super::streams::tell;
@@ -27,8 +27,9 @@ use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
 use octobayes_clean::{Baking, Clean, Cleaned, Strength, VolumeFile};
 use octobayes_data::Part;
-use octobayes_session::{CheckedViews, Choices, OpenedModel, Session, Threshold};
+use octobayes_session::{CheckedViews, Choices, OpenedModel, Session};
 use octobayes_splats::Splats;
+use octobayes_train::Refitted;
 
 /// Level of the grid over which the cameras are checked; no field is computed.
 const LEVEL: u8 = 6;
@@ -123,8 +124,8 @@ pub struct Args {
     #[arg(long, value_name = "REMOVED.ply", help_heading = heading::OUTPUT)]
     removed: Option<PathBuf>,
 
-    /// Write a row for each splat or cell: position, reason, the strength from which on it is removed, and what views
-    /// show of it
+    /// Write a row for each splat, or cell that pixels show or no image has: position, reason, the first strength that
+    /// removes it, and what views show of it
     #[arg(long, value_name = "REPORT.csv", help_heading = heading::OUTPUT)]
     report: Option<PathBuf>,
 
@@ -167,6 +168,10 @@ impl Args {
         }
         let model = match field.as_ref().zip(self.field.as_ref()) {
             Some((field, path)) => {
+                if let Some(mode) = self.training.splat_mode {
+                    let expected = "none beside FIELD, which was computed in one";
+                    return Err(Error::setting("--splat-mode", expected, mode.to_string()));
+                }
                 OpenedModel::of_field(field, path, &self.model.model, self.training.force, &mut tell)?
             }
             None => {
@@ -178,10 +183,12 @@ impl Args {
         let file = self.check_output(&model, splats)?;
         let cameras = self.cameras.training(&self.frames, Some(&*model.model), &self.model.model)?;
         files.images(&cameras.views).check()?;
-        let refit = self.refit.map(|steps| Refit::new(&cameras.views, steps)).transpose()?;
+        let refit = splats.zip(self.refit).map(|(splats, steps)| Refit::new(splats, &cameras.views, steps));
+        let refit = refit.transpose()?;
+        let limits = self.limits(field.as_ref())?;
         let background = self.training.background.unwrap_or(Vec3::ONE);
         let (domain, messages) = model.model.covered(&cameras.views.cameras(), background, bars)?;
-        // Its notes are about a field, which there is none of.
+        // Its notes are about a field, but none is computed.
         messages.into_iter().filter(|message| matches!(message, Message::Warning(_))).for_each(tell);
         let session = Session::new(cameras.views, format!("{} seen by {}", model.source, cameras.source))?
             .domain(Some(domain))
@@ -198,20 +205,30 @@ impl Args {
             .monitor(bars);
         match (splats, &file) {
             (Some(splats), _) => {
-                let cleaned = self.with_field(clean.splats(splats)?, splats.means(), field.as_ref())?;
-                let found = FoundSplats { splats, cleaned };
+                let cleaned = with_field(clean.splats(splats)?, splats.means(), field.as_ref(), limits);
+                let mut found = FoundSplats { splats, cleaned, options: self.options() };
                 check_strength(&found, self.strength)?;
                 found.write(self.strength, &self.output, &removed)?;
+                self.show(&found, &views, bars)?;
+                let mut psnr = None;
                 if let Some(refit) = &refit {
-                    // What is left is in its file already: an interruption loses no more than these steps.
+                    // All other files are there already: an interruption loses no more than these steps.
                     let trained = refit.run(&found.part(self.strength, false)?, views.background, bars);
                     let trained = trained.inspect_err(|_| {
                         announce!("note: {} holds what is left, without training", self.output.display());
                     })?;
-                    found.write_left(&trained, self.strength, &self.output)?;
+                    if let Some(Refitted { splats, psnr: found_psnr }) = trained {
+                        psnr = found_psnr;
+                        found.options += &format!(" --refit {}", refit.steps);
+                        found.write_left(&splats, self.strength, &self.output)?;
+                    } else {
+                        tell(Message::Warning(format!(
+                            "training made the images worse, so that {} holds what is left without it",
+                            self.output.display()
+                        )));
+                    }
                 }
-                self.show(&found, &views, bars)?;
-                self.print(&found, Some(&removed))
+                self.print(&found, Some(&removed), psnr)
             }
             (None, file) => {
                 let clean = clean.hidden(self.by == By::Uncertainty);
@@ -219,28 +236,33 @@ impl Args {
                 let density = octobayes_models::volume(model, &self.model.model)?;
                 let mut found = clean.volume(model, file.cells(model, self.points)?)?;
                 let centers = found.centers();
-                found.cleaned = self.with_field(found.cleaned, &centers, field.as_ref())?;
+                found.cleaned = with_field(found.cleaned, &centers, field.as_ref(), limits);
                 let found = FoundVolume { model, field: density, file, found };
                 check_strength(&found, self.strength)?;
                 let eyes: Vec<Vec3> = views.cameras.iter().map(|camera| camera.position.as_vec3()).collect();
                 let baking = Baking { model, points: self.points, eyes: &eyes };
                 file.write(&found.found, self.strength, &self.output, &baking, bars)?;
                 self.show(&found, &views, bars)?;
-                self.print(&found, None)
+                self.print(&found, None, None)
             }
         }
     }
 
-    /// What goes, once a field is there.
-    fn with_field(&self, cleaned: Cleaned, centers: &[Vec3], field: Option<&UncertaintyField>) -> Result<Cleaned> {
-        let Some(field) = field else { return Ok(cleaned) };
-        let cleaned = cleaned.with_field(centers, field);
-        if self.by == By::Views {
-            return Ok(cleaned);
-        }
-        let field = baked(field, 0);
-        let [careful, normal, strong] = Cleaned::SURFACES.map(|share| Threshold::Share(share).log10(&field, &mut tell));
-        Ok(cleaned.by_uncertainty([careful?, normal?, strong?]))
+    /// log10 U above which parts go, at each strength, if that decides.
+    fn limits(&self, field: Option<&UncertaintyField>) -> Result<Option<[f64; 3]>> {
+        let Some(field) = field.filter(|_| self.by == By::Uncertainty) else { return Ok(None) };
+        let Some(limits) = field.surface_quantiles(Cleaned::SURFACES) else {
+            let expected = "a field with points on visible surfaces, of which shares are to stay";
+            return Err(Error::setting("--by uncertainty", expected, "one without"));
+        };
+        let (limit, share) = (limits[self.strength as usize], 100.0 * Cleaned::SURFACES[self.strength as usize]);
+        announce!("note: log10 U is at most {limit:.3} on {share}% of the visible surfaces");
+        Ok(Some(limits))
+    }
+
+    /// Options that change what goes, beside the strength.
+    fn options(&self) -> String {
+        if self.by == By::Uncertainty { format!(" --by {}", self.by) } else { String::new() }
     }
 
     /// Refuses a file that cannot hold what is left, and says what it will lose. The model's own file, of a volume.
@@ -277,7 +299,8 @@ impl Args {
         self.page.as_ref().map_or(Ok(()), |path| page::write(path, &pictures, self.strength, &self.model.model))
     }
 
-    fn print(&self, found: &dyn Found, removed: Option<&PathBuf>) -> Result<()> {
+    /// `psnr` on training images before and after the steps of `--refit`, if these were taken, dB.
+    fn print(&self, found: &dyn Found, removed: Option<&PathBuf>, psnr: Option<[f64; 2]>) -> Result<()> {
         let gone: usize = found.cleaned().counts(self.strength).iter().sum();
         let written = removed.filter(|_| gone > 0);
         if self.json {
@@ -287,6 +310,11 @@ impl Args {
                 "output": self.output.display().to_string(),
                 "removed": written.map(|path| path.display().to_string()),
                 "strength": self.strength,
+                "by": self.by,
+                "field": self.field.as_ref().map(|path| path.display().to_string()),
+                "refit": psnr.zip(self.refit).map(|([before, after], steps)| {
+                    json!({ "steps": steps, "training_psnr": { "before": before, "after": after } })
+                }),
             });
             let members = object.as_object_mut().expect("an object is made");
             members.extend(counts(found, self.strength).as_object().expect("counts are an object").clone());
@@ -298,5 +326,25 @@ impl Args {
         }
         say!("{}", self.output.display())?;
         written.map_or(Ok(()), |path| say!("{}", path.display()))
+    }
+}
+
+/// What goes, once a field is there; by its limits of log10 U, if that decides.
+fn with_field(
+    cleaned: Cleaned,
+    centers: &[Vec3],
+    field: Option<&UncertaintyField>,
+    limits: Option<[f64; 3]>,
+) -> Cleaned {
+    let Some(field) = field else { return cleaned };
+    let cleaned = cleaned.with_field(centers, field);
+    let outside = cleaned.uncertainty.iter().flatten().filter(|estimate| !estimate.inside).count();
+    if outside > 0 && limits.is_some() {
+        let n = centers.len();
+        announce!("note: {outside} of {n} parts lie outside the field's box, where no U is known: they stay");
+    }
+    match limits {
+        Some(limits) => cleaned.by_uncertainty(limits),
+        None => cleaned,
     }
 }

@@ -5,20 +5,21 @@ use octobayes::monitor::Monitor;
 use octobayes::{Error, Result};
 use octobayes_data::{Frame, Views};
 use octobayes_splats::Splats;
-use octobayes_train::{Background, Refitted, Shot, SplatSettings, SplatTrainer, refit};
+use octobayes_train::{Background, Refitted, Shot, SplatSettings, SplatTrainer, check_mode, refit};
 
 /// The images of a training that is to go on.
 pub struct Refit {
     frames: Vec<Frame>,
-    steps: u64,
+    pub steps: u64,
 }
 
 impl Refit {
     /// Finds the images, before anything is computed.
     ///
     /// # Errors
-    /// If there is none, or if splats cannot be trained on these cameras.
-    pub fn new(views: &Views, steps: u64) -> Result<Self> {
+    /// If there is none, or if these splats cannot be trained, or not on these cameras.
+    pub fn new(splats: &Splats, views: &Views, steps: u64) -> Result<Self> {
+        check_mode(splats)?;
         let frames: Vec<Frame> = views.frames.iter().filter(|frame| frame.image.exists()).cloned().collect();
         if frames.is_empty() {
             let first = &views.frames[0];
@@ -39,8 +40,8 @@ impl Refit {
         Ok(Self { frames, steps })
     }
 
-    /// Trains what is left.
-    pub fn run(&self, left: &Splats, background: Vec3, monitor: &dyn Monitor) -> Result<Splats> {
+    /// Trains what is left. `None` if the images do not become better: a scene for which the rates are too large.
+    pub fn run(&self, left: &Splats, background: Vec3, monitor: &dyn Monitor) -> Result<Option<Refitted>> {
         let shots = Shot::load(&self.frames, SplatTrainer::size, monitor)?;
         let is_cut_out = |shot: &Shot| (0..shot.image.len()).any(|i| !shot.image.is_opaque(i));
         // What is behind cut-out objects may be anything, so that splats do not take its place.
@@ -49,10 +50,9 @@ impl Refit {
             false => Background::Fixed(background.to_array()),
         };
         let settings = SplatSettings::default().background(background);
-        let Refitted { splats, psnr } = refit(left, &shots, settings, self.steps, monitor)?;
-        if let Some([before, after]) = psnr {
-            announce!("{} steps of training: PSNR {before:.2} to {after:.2} dB on training images", self.steps);
-        }
-        Ok(splats)
+        let refitted = refit(left, &shots, settings, self.steps, monitor)?;
+        let Some([before, after]) = refitted.psnr else { return Ok(Some(refitted)) };
+        announce!("{} steps of training: PSNR {before:.2} to {after:.2} dB on training images", self.steps);
+        Ok((after >= before).then_some(refitted))
     }
 }

@@ -14,6 +14,8 @@ use super::found::{Found, TINTS, grey};
 pub struct FoundSplats<'a> {
     pub splats: &'a Splats,
     pub cleaned: Cleaned,
+    /// Options that change the result, for the file: ` --by uncertainty`.
+    pub options: String,
 }
 
 impl Found for FoundSplats<'_> {
@@ -93,13 +95,17 @@ impl FoundSplats<'_> {
         let names: Vec<String> =
             Reason::ALL.iter().map(|reason| format!("{} {}", *reason as u8 + 1, reason.name())).collect();
         let comments = [format!(
-            "octobayes {version} clean --strength {strength}: octobayes_reason = 0 kept, {}; front_share = part of the \
+            "octobayes {version} clean --strength {strength}{}: octobayes_reason = 0 kept, {}; front_share = part of the \
              splat's weight in front of what the pixels show, and in empty pixels once a view contradicts it; \
              octobayes_score = how far the views contradict it, at most 1; views = training views that show it{}",
+            self.options,
             names.join(", "),
-            cleaned.uncertainty.as_ref().map_or("", |_| "; uncertainty = U of its centre in the field")
+            cleaned
+                .uncertainty
+                .as_ref()
+                .map_or("", |_| "; uncertainty = U of its centre in the field, the prior's outside")
         )];
-        let uncertainty = cleaned.uncertainty.as_ref().map(|u| of(&|i| u[i]));
+        let uncertainty = cleaned.uncertainty.as_ref().map(|u| of(&|i| u[i].uncertainty));
         let mut columns: Vec<(&str, &[f32])> = vec![
             ("octobayes_reason", &reason),
             ("octobayes_score", &score),

@@ -31,8 +31,8 @@ use octobayes_splats::Splats;
 /// common maximum, trapezoid rule. Only the order of pixels counts, so nothing is normalised per image.
 ///
 /// Several fields, covariances and ray averages share the rendering. The table also lists baselines that need no
-/// Hessian: the variance of the ray's weights, the weights' spread over the number of training rays or its root, and
-/// chance. With --ensemble they are also ranked by the disagreement of several models.
+/// Hessian: the variance of the ray's weights, the distance from the camera, the weights' spread over the number of
+/// training rays or its root, and chance. With --ensemble they are also ranked by the disagreement of several models.
 ///
 /// Depth is compared where the true depth is known and the image is fully opaque (alpha 255; images without alpha
 /// are opaque everywhere).
@@ -72,7 +72,7 @@ pub struct Args {
     training_depth: Option<PathBuf>,
 
     /// Folder of masks in which the object is not black, `NAME.png` of each view [default: those that the camera file
-    /// names, `object_mask_path`]. Figures of the object and of what is around it are then apart
+    /// names, `object_mask_path`]. The object has figures of its own then, and the verdict is about it
     #[arg(long, value_name = "DIR", help_heading = heading::INPUT)]
     object_masks: Option<PathBuf>,
 

@@ -131,7 +131,7 @@ fn row(width: usize, name: &str, cells: [String; 8]) -> String {
     format!("  {name:<width$} {a:>8} {b:>7} | {c:>8} {d:>7} | {e:>8} {f:>9} | {g:>8} {h:>7}")
 }
 
-/// Curves that rise gain by their own common maximum.
+/// A curve that rises makes the common maximum larger, and so its own area smaller.
 fn warn_of_rises(report: &Report) {
     for Scored { name, score, .. } in report.readings.iter().filter(|scored| scored.score.rise.mae > RISE) {
         announce!(
@@ -148,13 +148,16 @@ fn warn_of_rises(report: &Report) {
 fn print_kinds(report: &Report, width: usize) -> Result<()> {
     let Some(first) = report.kinds.first() else { return Ok(()) };
     let by = first.measures[0].name.clone();
-    let deviation = first.measures.iter().position(|measure| measure.calibration.is_some() && measure.name != by);
+    let is_deviation = |m: &usize| report.kinds.iter().any(|of| of.measures[*m].calibration.is_some());
+    let deviation = (1..first.measures.len()).find(is_deviation);
     let nominal = if deviation.is_some() {
         format!("   deviation holds, of {}", PROBABILITIES.map(|p| format!("{:.0}", 100.0 * p)).join("/") + " %")
     } else {
         String::new()
     };
-    say!("{:<width$}    share   median error   AUSE mae    rmse{nominal}", format!("by {by}, where pixels are"))?;
+    let head = format!("by {by}, where pixels are");
+    let width = width.max(head.chars().count());
+    say!("{head:<width$}    share   median error   AUSE mae    rmse{nominal}")?;
     for OfKind { kind, share, depth_error, measures } in &report.kinds {
         let [mae, rmse] = measures[0].ause.map_or([f64::NAN; 2], |ause| [ause.mae, ause.rmse]);
         let held = deviation.and_then(|m| measures[m].calibration.as_ref()).map_or(String::new(), |calibration| {

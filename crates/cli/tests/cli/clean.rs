@@ -198,18 +198,53 @@ fn a_field_adds_a_column_and_may_decide_alone() {
     for strength in ["careful", "strong"] {
         let said = desk.said(&format!("{run} -o u.ply --by uncertainty --strength {strength}"));
         let share = if strength == "careful" { "99.9%" } else { "95%" };
-        let limit = said.split_once("log10 U is at most ").unwrap().1;
-        assert!(limit.contains(&format!("on {share} of the visible surfaces")), "{said}");
+        let (_, note) = said.split_once("log10 U is at most ").unwrap();
+        let (limit, rest) = note.split_once(' ').unwrap();
+        assert!(rest.starts_with(&format!("on {share} of the visible surfaces")), "{said}");
+        let limit = 10_f64.powf(limit.parse::<f64>().unwrap());
         let (kept, gone) = (read(&desk, "u.ply"), read(&desk, "u.removed.ply"));
         let range = |splats: &Splats| {
             let u = splats.extra("uncertainty").unwrap();
             [u.iter().copied().fold(f64::INFINITY, f64::min), u.iter().copied().fold(0.0, f64::max)]
         };
         assert_eq!(kept.len() + gone.len(), 930);
-        assert!(range(&kept)[1] <= range(&gone)[0], "{strength}");
+        // The limit is printed with three digits.
+        let [kept_most, gone_least] = [range(&kept)[1], range(&gone)[0]];
+        assert!(kept_most < 1.0012 * limit && gone_least > limit / 1.0012, "{strength}: {kept_most} {gone_least}");
         assert!(gone.extra("octobayes_reason").unwrap().iter().all(|reason| *reason == 5.0));
     }
     desk.refused(&format!("{RUN} -o a.ply --by uncertainty"), &["--by uncertainty: expected FIELD.oct"]);
+    desk.refused(&format!("{run} -o a.ply --splat-mode mip"), &["--splat-mode: expected none beside FIELD"]);
+    // What lies outside the field stays, whatever the prior is there.
+    let inside = RUN.replace("clean scene.ply", "uncertainty scene.ply -o small.oct --box=-1,-1,-1,1,1,1 --level 5");
+    desk.good(&format!("{inside} --rays 20000"));
+    let small = RUN.replace("scene.ply", "scene.ply small.oct");
+    let said = desk.said(&format!("{small} -o small.ply --by uncertainty --strength strong"));
+    assert!(said.contains("of 930 parts lie outside the field's box"), "{said}");
+    let far = |splats: &Splats| splats.means().iter().filter(|x| x.abs().max_element() > 1.0).count();
+    let (kept, scene) = (read(&desk, "small.ply"), with_floaters());
+    assert!(far(&scene) > 10 && far(&kept) == far(&scene), "{} of {}", far(&kept), far(&scene));
+}
+
+/// Fog behind the ball, which no pixel shows, has a large U.
+#[test]
+fn hidden_matter_of_a_volume_goes_by_uncertainty_alone() {
+    let desk = desk();
+    write_voxel_grid(&voxels(), &desk.join("model.npz")).unwrap();
+    // From one side: the fog is before the ball, and the far half of the ball is hidden.
+    write_transforms(&desk.join("side.json"), &around(3.0, [-0.3, 0.0, 0.3].into_iter())).unwrap();
+    desk.good("uncertainty model.npz --cameras side.json --background black --level 5 --rays 20000 -o model.oct");
+    let run = "clean model.npz model.oct --cameras side.json --background black --strength careful";
+    desk.good(&format!("{run} -o views.npz"));
+    desk.good(&format!("{run} -o u.npz --by uncertainty"));
+    let [views, u] = ["views.npz", "u.npz"].map(|name| read_voxel_grid(&desk.join(name)).unwrap());
+    let hidden = |grid: &VoxelGrid| {
+        let is = |i: &usize| grid.point(*i).x < -0.3 && grid.point(*i).length() < 0.6 && grid.values()[*i][3] > 0.0;
+        (0..grid.values().len()).filter(is).count()
+    };
+    let (all, by_views, by_u) = (hidden(&voxels()), hidden(&views), hidden(&u));
+    assert_eq!(by_views, all, "the inside of what was seen stays");
+    assert!(2 * by_u < all, "{by_u} of {all}");
 }
 
 /// A ball of voxels, and thin fog beside it, which all cameras look through at the ball or past it.

@@ -114,7 +114,7 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
     let json: Value = serde_json::from_str(&text).unwrap();
     let rows = ["readings", "baselines"].map(|key| json[key].as_array().unwrap().clone());
     // Three covariances in two averages, the four of one model, and one of the ensemble.
-    assert_eq!([rows[0].len(), rows[1].len()], [6, 5]);
+    assert_eq!([rows[0].len(), rows[1].len()], [6, 6]);
     for (row, kind) in rows.iter().flatten().flat_map(|row| ["mae", "mse", "rmse"].map(|kind| (row, kind))) {
         assert!((0.0..1.0).contains(&row["ause_pooled"][kind].as_f64().unwrap()), "{row}");
     }
@@ -251,4 +251,48 @@ fn a_calibrated_interval_holds_its_share_and_goes_with_the_field() {
     desk.refused(&calibrate.replace("data.oct", "m.oct"), &["--scale data"]);
     desk.refused("query cal.oct --ray 0,0,0,0,0,0 --model m-0.safetensors", &["direction"]);
     desk.refused("query cal.oct --ray 0,0,0,0,0,1", &["required arguments"]);
+}
+
+#[test]
+#[ignore = "slow: whole runs as processes"]
+fn the_object_is_judged_apart_and_alone_in_the_verdict() {
+    let desk = desk();
+    let run = "evaluate m-0.safetensors m.oct --cameras set/transforms_test.json --training-depth set/depth \
+               --depth set/depth --depth-pattern {}.exr --json";
+    let report = |options: &str| -> Value { serde_json::from_str(&desk.good(&format!("{run}{options}"))).unwrap() };
+    let kinds = |report: &Value| -> Vec<String> {
+        report["kinds"].as_array().unwrap().iter().map(|of| of["kind"].as_str().unwrap().to_string()).collect()
+    };
+    let found = report("");
+    let names = kinds(&found);
+    assert_eq!(names[..2], ["object", "around"]);
+    // All that is shown was seen: that kind has no pixels.
+    assert!(names.contains(&"silhouette".to_string()) && !names.contains(&"never seen".to_string()), "{names:?}");
+    assert_eq!(found["object_masks"], "set/transforms_test.json");
+    // Too few pixels for a verdict, but it is about those of the object.
+    let verdict = found["verdict"][0].as_str().unwrap();
+    assert!(verdict.contains("pixels of the object"), "{verdict}");
+    let text = desk.good(&run.replace(" --json", ""));
+    assert!(text.contains("where pixels are") && text.contains("  object "), "{text}");
+
+    // Masks of a folder: here all is object.
+    let folder = desk.join("masks");
+    std::fs::create_dir(&folder).unwrap();
+    for name in ["test_0000", "test_0001"] {
+        image::GrayImage::from_pixel(24, 24, image::Luma([255])).save(folder.join(format!("{name}.png"))).unwrap();
+    }
+    let found = report(" --object-masks masks");
+    assert_eq!((&kinds(&found)[0], found["kinds"][0]["share"].as_f64()), (&"object".to_string(), Some(1.0)));
+    assert_ne!(kinds(&found)[1], "around");
+    std::fs::remove_file(folder.join("test_0001.png")).unwrap();
+    desk.refused(
+        &format!("{run} --object-masks masks"),
+        &["masks of the object: expected a PNG with the name of frame"],
+    );
+    // All frames have one, or none.
+    let cameras = desk.join("set/transforms_test.json");
+    let text = std::fs::read_to_string(&cameras).unwrap();
+    let line = |line: &&str| !line.contains("objects/test_0001.png");
+    std::fs::write(&cameras, text.lines().filter(line).collect::<Vec<_>>().join("\n")).unwrap();
+    desk.refused(run, &["frame `images/test_0001.png`: expected a mask of the object for every frame"]);
 }

@@ -220,7 +220,13 @@ fn splats_are_judged_like_volumes() {
     // Everything that a volume is measured by.
     let rows = report["baselines"].as_array().unwrap();
     let names: Vec<&str> = rows.iter().map(|row| row["name"].as_str().unwrap()).collect();
-    let baselines = ["ray-weight variance", "weights' spread / sqrt(rays)", "weights' spread / rays", "random"];
+    let baselines = [
+        "ray-weight variance",
+        "distance from the camera",
+        "weights' spread / sqrt(rays)",
+        "weights' spread / rays",
+        "random",
+    ];
     assert_eq!(names, baselines);
     let readings = report["readings"].as_array().unwrap();
     assert!(readings.iter().any(|row| row["name"] == "scene block, depth deviation"), "{readings:?}");

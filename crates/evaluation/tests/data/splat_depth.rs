@@ -91,7 +91,7 @@ fn depth_of_new_views_is_ranked() {
         for frame in views.frames.iter().step_by(2) {
             let map = data(&format!("nerf-lego-400/{}_depth_0001.png", frame.name.trim_start_matches("./")));
             let frame = Frame { depth: Some(map), ..frame.clone() };
-            let meaning = DepthMeaning { encoding, bounds };
+            let meaning = DepthMeaning { encoding, bounds, jump: 0.0 };
             let truth = TrueView::read(&frame, Some(&meaning), DVec3::ONE, 0.5, 2).unwrap();
             let view = renderer.image(&truth.camera, 0.5, &[], &[&posterior, &blocks], &Silent).unwrap();
             quality.push(psnr(&view.pixels.iter().map(|p| p.color).collect::<Vec<_>>(), &truth.colors));

@@ -19,7 +19,7 @@ mod state;
 mod tests;
 mod trainer;
 
-pub use refit::{Refitted, refit};
+pub use refit::{Refitted, check_mode, refit};
 pub use start::{SplatOrigin, box_of_points};
 pub use trainer::SplatTrainer;
 

@@ -2,7 +2,7 @@ use glam::{DVec3, Quat, Vec3};
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 
-use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH, constant_of, splats};
+use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH, constant_of, rows, splats};
 use super::picture::Picture;
 use super::*;
 use crate::{Budget, Run, StateFile, Training};
@@ -320,4 +320,26 @@ fn what_cannot_be_trained_is_refused() {
     shots[1].camera.distortion.k[0] = 0.1;
     let error = SplatTrainer::new(small(), bounds(), &[], &shots).err().unwrap().to_string();
     assert!(error.contains("no lens distortion"), "{error}");
+}
+
+#[test]
+fn a_refit_keeps_order_degree_and_number_and_shows_images_better() {
+    let shots = shots(8);
+    let mut trainer = SplatTrainer::new(small(), bounds(), &[], &shots).unwrap();
+    run_steps(&mut trainer, 200, 400);
+    let trained = trainer.splats().unwrap();
+    for degree in [0, 3] {
+        let of_degree = splats(&rows(&trained), degree).unwrap();
+        let Refitted { splats, psnr } = refit(&of_degree, &shots, small(), 60, &Silent).unwrap();
+        let [before, after] = psnr.unwrap();
+        assert!(after > before + 0.2, "degree {degree}: {before} {after}");
+        assert_eq!((splats.len(), splats.degree()), (of_degree.len(), degree));
+        // Adam moves a number by its rate at most: 60 steps of 1.6e-3 * 0.01^0.7 of half the box of the centres.
+        let most = 60.0 * 6.4e-5 * 0.5 * trained.main_box().longest_edge() as f32;
+        let moved = splats.means().iter().zip(of_degree.means()).map(|(a, b)| (*a - *b).abs().max_element());
+        assert!(moved.fold(0.0, f32::max) < 1.5 * most);
+    }
+    let mip = trained.with_mode(RenderMode::MipSplatting);
+    let refused = refit(&mip, &shots, small(), 9, &Silent).unwrap_err().to_string();
+    assert!(refused.starts_with("--refit: expected splats that are drawn as `classic`"), "{refused}");
 }

@@ -77,7 +77,7 @@ impl<'a> SplatTrainer<'a> {
         Ok(Self::start(settings, Start::new(shots, bounds, points, first, settings.seed), MAX_DEGREE, shots))
     }
 
-    /// Goes on with splats that were trained before, of as high a degree.
+    /// Goes on with splats that were trained before, of as high a degree. Rates of centres are in `extent`, scene units.
     ///
     /// # Errors
     /// As [`SplatTrainer::new`].
@@ -86,13 +86,13 @@ impl<'a> SplatTrainer<'a> {
     /// If there are no shots.
     pub(super) fn from_splats(
         settings: SplatSettings,
-        bounds: Aabb,
+        extent: f64,
         splats: &Splats,
         shots: &'a [Shot],
     ) -> Result<Self> {
         assert!(!shots.is_empty(), "no images to train on");
         Self::check_cameras(&shots.iter().map(|shot| shot.camera).collect::<Vec<_>>())?;
-        let (rows, extent) = (cloud::rows(splats), 0.5 * bounds.longest_edge() as f32);
+        let (rows, extent) = (cloud::rows(splats), extent as f32);
         Ok(Self::start(settings, Start { rows, extent, origin: SplatOrigin::Box }, splats.degree(), shots))
     }
 

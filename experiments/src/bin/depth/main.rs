@@ -11,6 +11,7 @@ mod correlations;
 mod full;
 mod joint;
 mod judge;
+mod kinds;
 mod misses;
 mod parameters;
 mod pictures;
@@ -99,6 +100,7 @@ fn main() -> Result<()> {
             ("lego", Needs::Data),
             ("lego-by-views", Needs::Data),
             ("kitchen", Needs::Data),
+            ("kinds", Needs::Data),
             ("pretrained", Needs::Data),
             ("misses", Needs::Data),
             ("correlations", Needs::Data),
@@ -165,6 +167,11 @@ fn main() -> Result<()> {
         let (described, of, pixels) = (describe(&rays(), &grid(), &[]), seeds(&SEEDS), compared(STRIDE));
         let settings = format!("320 × 240 pixels, {STEPS} steps; {pixels} of the 10 held-out views. {described} {of}");
         Ok((settings, text.join("\n")))
+    })?;
+    program.part("kinds", |work| {
+        let measure = |scene: &Scene| work.row((scene.name(), scene.steps), || kinds::measure(scene, SEEDS[0]));
+        let rows = scenes(&TESTING, STEPS).iter().map(measure).collect::<Result<Vec<_>>>()?;
+        Ok((settings(STEPS, &SEEDS[..1]), kinds::table(&rows)))
     })?;
     program.part("pretrained", |work| {
         let row = |name: &&str| Ok(vec![work.row(name, || pretrained::measure(name))?]);

@@ -194,7 +194,7 @@ impl Data {
         let (frames, encoding) = (found.frames, found.encoding);
         let all_of_space = || Error::setting("domain", "a box", "all of space");
         let bounds = *self.domain.bounds().ok_or_else(all_of_space)?;
-        let depth = DepthMeaning { encoding, bounds };
+        let depth = DepthMeaning { encoding, bounds, jump: 0.0 };
         let every = frames.len().div_ceil(TEST_VIEWS as usize).max(1);
         let stride = stride * self.stride;
         let read = |frame: &Frame| {

@@ -139,7 +139,7 @@ fn lego() -> Result<Images> {
     let (maps, pattern) = (Some(folder.join("test")), DepthFiles::PATTERN.into());
     let files = DepthFiles { folder: maps, pattern, scale: Some([8.0, -8.0]), kind: DepthKind::Euclidean };
     let found = files.find(&views.path, &views.frames, &views.frames)?;
-    let depth = DepthMeaning { encoding: found.encoding, bounds };
+    let depth = DepthMeaning { encoding: found.encoding, bounds, jump: 0.0 };
     let every = found.frames.len().div_ceil(TEST_VIEWS as usize).max(1);
     let held = found.frames.iter().step_by(every).map(|frame| {
         let view = TrueView::read(frame, Some(&depth), DVec3::ONE, 0.5, LEGO_STRIDE)?;

@@ -158,7 +158,7 @@ impl Judged<'_> {
     fn truths(&self, folder: &Path) -> Result<Vec<TrueView>> {
         let views = Views::read(&folder.join("transforms_test.json"), None)?;
         let found = halved::depth(folder).find(&views.path, &views.frames, &views.frames)?;
-        let depth = DepthMeaning { encoding: found.encoding, bounds: self.splats.bounds() };
+        let depth = DepthMeaning { encoding: found.encoding, bounds: self.splats.bounds(), jump: 0.0 };
         let read = |frame: &Frame| TrueView::read(frame, Some(&depth), DVec3::ONE, MIDDLE, 1);
         found.frames.iter().map(read).collect()
     }
