@@ -37,20 +37,16 @@ pub struct Baking<'a> {
     pub eyes: &'a [Vec3],
 }
 
-impl<'a> Baking<'a> {
+impl Baking<'_> {
     /// Points along the longest edge by default.
     pub const POINTS: u32 = 256;
 
     /// Along x, y and z.
     fn shape(&self) -> [usize; 3] {
-        shape(self.model, self.points)
+        let size = self.model.whole_box().size();
+        let along = |edge: f64| ((edge / size.max_element() * f64::from(self.points)).round() as usize).max(2);
+        size.to_array().map(along)
     }
-}
-
-fn shape(model: &dyn Model, points: u32) -> [usize; 3] {
-    let size = model.whole_box().size();
-    let along = |edge: f64| ((edge / size.max_element() * f64::from(points)).round() as usize).max(2);
-    size.to_array().map(along)
 }
 
 impl VolumeFile {
@@ -79,7 +75,7 @@ impl VolumeFile {
         let points = match self {
             Self::HashGrid(grid) => return Cells::new(*grid.domain(), [grid.finest_occupancy() as u32; 3]),
             Self::Voxels(grid) => grid.shape(),
-            Self::Other => shape(model, points),
+            Self::Other => Baking { model, points, eyes: &[] }.shape(),
         };
         let domain = model.natural_domain();
         let size = domain.size();

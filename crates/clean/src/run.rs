@@ -56,9 +56,7 @@ impl Cleaned {
         let removed = self.removed(strength);
         Reason::ALL.map(|reason| removed.iter().filter(|found| **found == Some(reason)).count())
     }
-}
 
-impl Cleaned {
     /// Share of the visible surfaces that stays [by uncertainty](Self::by_uncertainty), `[Strength]`.
     pub const SURFACES: [f64; 3] = [0.999, 0.99, 0.95];
 
@@ -72,8 +70,8 @@ impl Cleaned {
         Self { uncertainty: Some(field.query_all(centers)), ..self }
     }
 
-    /// The same parts, of which those go whose log10 U exceeds a limit, `[Strength]`, and no others: the clean-up of
-    /// Bayes' Rays (Sec. 5.2). What lies outside the field stays, as nothing is known of it.
+    /// The same parts, but log10 U alone decides: what exceeds the limit of a strength goes, as in the clean-up of Bayes'
+    /// Rays (Sec. 5.2). What lies outside the field stays, because its U is not known.
     ///
     /// # Panics
     /// If no [field](Self::with_field) was given.

@@ -25,7 +25,7 @@ pub struct Frame {
     pub image: PathBuf,
     /// The depth map that the camera file names for this frame (`depth_file_path`).
     pub depth: Option<PathBuf>,
-    /// The picture of which pixels show the object (`object_mask_path`): those that are not black.
+    /// Path of a mask in which the object is not black (`object_mask_path`).
     pub object: Option<PathBuf>,
     /// Which of its pixels the model was trained on, if not all.
     pub mask: Option<MaskFile>,

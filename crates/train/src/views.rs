@@ -37,7 +37,7 @@ impl Shot {
     /// Loads the pictures of frames, [shrunk](Self::shrunk) to the size that a camera is to have.
     ///
     /// # Errors
-    /// As [`PosedImage::of`] and [`Shot::shrunk`], of which sizes are checked before an image is read, and
+    /// As [`PosedImage::of`] and [`Shot::shrunk`], whose sizes are checked before the first image is read; and
     /// [`Error::Interrupted`].
     pub fn load(frames: &[Frame], size: impl Fn(&Camera) -> [u32; 2], monitor: &dyn Monitor) -> Result<Vec<Self>> {
         for frame in frames {

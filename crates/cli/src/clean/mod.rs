@@ -252,7 +252,7 @@ impl Args {
     fn limits(&self, field: Option<&UncertaintyField>) -> Result<Option<[f64; 3]>> {
         let Some(field) = field.filter(|_| self.by == By::Uncertainty) else { return Ok(None) };
         let Some(limits) = field.surface_quantiles(Cleaned::SURFACES) else {
-            let expected = "a field with points on visible surfaces, of which shares are to stay";
+            let expected = "a field with points on visible surfaces: they set the limits";
             return Err(Error::setting("--by uncertainty", expected, "one without"));
         };
         let (limit, share) = (limits[self.strength as usize], 100.0 * Cleaned::SURFACES[self.strength as usize]);
