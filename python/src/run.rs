@@ -8,7 +8,7 @@ use octobayes::geometry::{Camera, Mask};
 use octobayes::glam::Vec3;
 use octobayes::monitor::Message;
 use octobayes_data::{Frame, MaskFile, Part, ResolutionSource, Views, camera_file, passed_over};
-use octobayes_evaluation::TrainingImages;
+use octobayes_depth::TrainingImages;
 use octobayes_session::{CameraSource, OpenedModel, Session};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;

@@ -18,11 +18,13 @@ mod clean;
 mod compare;
 mod completions;
 mod demo;
+mod depth;
 mod evaluate;
 mod export;
 mod files;
 mod given;
 mod info;
+mod measure;
 mod merge;
 mod next_view;
 mod opened;
@@ -82,6 +84,10 @@ enum Verb {
     Uncertainty(Box<uncertainty::Args>),
     // Boxed: it has many options.
     Clean(Box<clean::Args>),
+    // Boxed: it has many options.
+    Depth(Box<depth::Args>),
+    // Boxed: it has many options.
+    Measure(Box<measure::Args>),
     Query(query::Args),
     Compare(compare::Args),
     Render(render::Args),
@@ -155,6 +161,8 @@ fn run(verb: Verb, given: &Given) -> Result<()> {
         Verb::Demo(args) => args.run(bars),
         Verb::Uncertainty(args) => args.run(given, bars),
         Verb::Clean(args) => args.run(bars),
+        Verb::Depth(args) => args.run(bars),
+        Verb::Measure(args) => args.run(bars),
         Verb::Query(args) => args.run(bars),
         Verb::Compare(args) => args.run(),
         Verb::Render(args) => args.run(bars),

@@ -82,7 +82,7 @@ pub use self::{
     hemisphere::Hemisphere,
     image::{PosedImage, SampledImage, measure},
     inria::inria_text,
-    pictures::{MaskFile, check_masks, image_path, memory_of_masks, read_masks, read_object},
+    pictures::{MaskFile, check_masks, each_has_its_own, image_path, memory_of_masks, read_masks, read_object},
     points::PointReader,
     readings::{DepthReadings, LargestDepth, Unmeasured},
     sizes::has_shape,

@@ -1,5 +1,6 @@
 //! Where the picture of a frame is, and which of its pixels count.
 
+use std::collections::HashMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -193,6 +194,29 @@ pub fn memory_of_masks(frames: &[Frame]) -> u64 {
 pub fn check_masks(path: &Path, masks: &[Option<Mask>]) -> Result<()> {
     if !masks.is_empty() && masks.iter().all(|mask| mask.as_ref().is_some_and(|mask| mask.pixels() == 0)) {
         return Err(Error::malformed(path, "masks", "pixels that were trained on", "masks that keep none"));
+    }
+    Ok(())
+}
+
+/// Refuses a file that two frames claim, one of them `chosen`. Files that do not exist are passed over.
+///
+/// # Errors
+/// If there is one: names both frames, and the file.
+pub fn each_has_its_own<'a>(
+    source: &Path,
+    what: &str,
+    claims: impl IntoIterator<Item = (&'a str, &'a Path)>,
+    chosen: impl Fn(&str) -> bool,
+) -> Result<()> {
+    let mut owners: HashMap<PathBuf, &str> = HashMap::new();
+    for (name, path) in claims {
+        let Ok(file) = path.canonicalize() else { continue };
+        let Some(other) = owners.insert(file, name) else { continue };
+        if chosen(name) || chosen(other) {
+            let expected = "a file for each frame, below the folder from which the frames' names start";
+            let found = format!("{} for both `{other}` and `{name}`", path.display());
+            return Err(Error::malformed(source, what, expected, found));
+        }
     }
     Ok(())
 }

@@ -1,10 +1,10 @@
 //! Which depth map belongs to which frame.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use octobayes::{Error, Result};
-use octobayes_data::{DepthEncoding, DepthKind, Frame};
+use octobayes_data::{DepthEncoding, DepthKind, Frame, each_has_its_own};
 
 /// Extensions that a frame's `file_path` may have, in any case.
 const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "exr"];
@@ -149,29 +149,6 @@ fn existing(places: &[PathBuf]) -> Option<PathBuf> {
         std::iter::once(path.clone()).chain(other.into_iter().flatten())
     };
     places.iter().flat_map(spellings).find(|path| path.is_file())
-}
-
-/// Refuses a file that two frames claim, one of them `chosen`. Files that do not exist are passed over.
-///
-/// # Errors
-/// If there is one: names both frames, and the file.
-pub(super) fn each_has_its_own<'a>(
-    source: &Path,
-    what: &str,
-    claims: impl IntoIterator<Item = (&'a str, &'a Path)>,
-    chosen: impl Fn(&str) -> bool,
-) -> Result<()> {
-    let mut owners: HashMap<PathBuf, &str> = HashMap::new();
-    for (name, path) in claims {
-        let Ok(file) = path.canonicalize() else { continue };
-        let Some(other) = owners.insert(file, name) else { continue };
-        if chosen(name) || chosen(other) {
-            let expected = "a file for each frame, below the folder from which the frames' names start";
-            let found = format!("{} for both `{other}` and `{name}`", path.display());
-            return Err(Error::malformed(source, what, expected, found));
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use super::kinds::JUMP;
 use super::training_cameras::training_cameras;
+use super::truly_seen::from_depth_maps;
 use super::{
     CleanUp, DepthError, DepthFiles, DepthMeaning, EvaluatedView, Evaluator, FramesWithDepth, Interval, Reading,
-    Report, THRESHOLDS, TrainingViews, TrueView, clean_up,
+    Report, THRESHOLDS, TrueView, clean_up,
 };
 use glam::DVec3;
 
@@ -19,6 +20,7 @@ use octobayes::monitor::{Message, Monitor};
 use octobayes::render::RenderedView;
 use octobayes::{Error, Result};
 use octobayes_data::{DepthKind, DepthReadings, Frame, FrameSplit, LargestDepth, Part, Selection, Views};
+use octobayes_depth::TrainingViews;
 
 /// What else may be wrong if depths are.
 const CAUSES: &str = "likely causes: --depth-encoding, --z-depth, or units of the cameras";
@@ -358,7 +360,7 @@ fn truly_seen(
     monitor: &dyn Monitor,
     tell: &mut dyn FnMut(Message),
 ) -> Result<TrainingViews> {
-    let (seen, counts) = TrainingViews::from_depth_maps(&maps.frames, depth, offset, monitor)?;
+    let (seen, counts) = from_depth_maps(&maps.frames, depth, offset, monitor)?;
     if counts.are_nearly_all_unmeasured() {
         let expected = "depths of what the model shows in at least 1 % of the pixels (--depth-encoding)";
         return Err(Error::malformed(&maps.source, "depth maps of training views", expected, counts.to_string()));

@@ -32,8 +32,7 @@ pub mod metrics;
 mod report;
 mod score;
 mod training_cameras;
-mod training_images;
-mod training_views;
+mod truly_seen;
 mod truth;
 mod verdict;
 mod view;
@@ -48,7 +47,6 @@ pub use measure::Reading;
 pub use report::{Inside, NeverSeen, Part, Report, Scored, ViewReport};
 pub use score::{ByError, DepthError, Score};
 pub use training_cameras::training_cameras;
-pub use training_images::{Compared, TrainingImages, compare_images};
 
 // The parts of an evaluation, for this crate's experiments.
 #[doc(hidden)]
@@ -57,8 +55,6 @@ pub use depth_files::FramesWithDepth;
 pub use kinds::{Outline, TrueParts};
 #[doc(hidden)]
 pub use measure::{Baseline, Measure};
-#[doc(hidden)]
-pub use training_views::{CONFIRMING_VIEWS, TrainingViews};
 #[doc(hidden)]
 pub use truth::{DepthMeaning, TrueView};
 #[doc(hidden)]

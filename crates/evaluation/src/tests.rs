@@ -14,6 +14,7 @@ use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{RayAverage, Renderer, VolumeRenderer};
 use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes_data::DepthReadings;
+use octobayes_depth::{TrainingImage, TrainingViews, compare_images};
 
 /// An empty field in the ball's box.
 struct Nothing(Aabb);
@@ -219,7 +220,9 @@ fn confirmed_depths_are_photo_consistent_where_images_agree() {
     let images = cameras.iter().zip([0.2, 0.5, 0.8]).map(|(camera, own)| {
         let shown = model.image(camera, 0.5, &[], &[], &Silent).unwrap();
         let color = |(_, x): (_, DVec3)| DVec3::splat(if x.z > 0.0 { 0.5 } else { own });
-        Ok(TrueView { colors: shown.median_points(camera, 0.5).map(color).collect(), ..truth(&ball, camera) })
+        let (camera, pixels) = (*camera, camera.pixels() as usize);
+        let colors = shown.median_points(&camera, 0.5).map(color).collect();
+        Ok(TrainingImage { camera, whole: camera, stride: 1, pixel_offset: 0.5, colors, kept: vec![true; pixels] })
     });
     let data = DataScale::from_cameras(&cameras, 0.05, &Domain::Box(ball.bounds())).unwrap();
     let field = Estimation::new(&ball, &cameras)

@@ -5,13 +5,14 @@ use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 
 use super::kinds::{Outline, TrueParts};
-use super::{Baseline, Measure, Part, PixelKind, Reading, TrainingViews, TrueView};
+use super::{Baseline, Measure, Part, PixelKind, Reading, TrueView};
 use crate::metrics::{Calibration, Detection, ensemble_variance};
 use octobayes::Result;
 use octobayes::metrics::psnr;
 use octobayes::monitor::{Monitor, check};
 use octobayes::render::{DepthVariance, MIN_SUPPORTING_RAYS, Probe, RenderedView, Renderer};
 use octobayes::uncertainty::{BakedField, ColorSpread, DepthPosterior};
+use octobayes_depth::TrainingViews;
 
 /// Bytes that a reading's field may take to answer faster.
 const MAX_BAKED_BYTES: usize = 256 << 20;

@@ -22,7 +22,8 @@ use octobayes::rays::Pixels;
 use octobayes::{Error, Result};
 use octobayes_data::SamplesWriter;
 use octobayes_data::{Views, memory_of_masks, read_masks};
-use octobayes_evaluation::{ImageCheck, TrainingImages, memory_of_images};
+use octobayes_depth::TrainingImages;
+use octobayes_evaluation::{ImageCheck, memory_of_images};
 
 /// Why cameras may see little of splats.
 const FRAMES_OF_SPLATS: &str = "splats in a frame that their training normalised (nerfstudio's: pass the run's \

@@ -20,6 +20,7 @@
 #![cfg_attr(not(test), warn(clippy::print_stderr, clippy::print_stdout))]
 
 pub mod comparison;
+pub mod depth_page;
 pub mod export;
 pub mod picture;
 pub mod viewer;

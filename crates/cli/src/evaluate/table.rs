@@ -3,8 +3,9 @@
 use super::Args;
 use octobayes::Result;
 use octobayes_data::DepthKind;
+use octobayes_depth::CONFIRMING_VIEWS;
 use octobayes_evaluation::metrics::{Calibration, Detection, PROBABILITIES};
-use octobayes_evaluation::{CONFIRMING_VIEWS, CleanUp, DepthError, Interval, OfKind, Part, Report, Score, Scored};
+use octobayes_evaluation::{CleanUp, DepthError, Interval, OfKind, Part, Report, Score, Scored};
 
 /// A curve rises if it is above its start by more than this part of it.
 const RISE: f64 = 0.05;

@@ -13,7 +13,7 @@ pub use grid::{DomainOptions, GridOptions, OfficialOptions, check_field_name};
 pub use numbers::{MAX_COUNT, MAX_KEPT_COUNT, RayCount, count, parse_time};
 pub use parse::{
     Frames, UTF_8, choice, model_name, numbers, parse_background, parse_box, parse_bytes, parse_contraction,
-    parse_direction, parse_frames, parse_norm, parse_pair, parse_positive, parse_probability, parse_range,
+    parse_direction, parse_frames, parse_noise, parse_norm, parse_pair, parse_positive, parse_probability, parse_range,
     parse_resolution, parse_share, parse_views,
 };
 

@@ -121,10 +121,10 @@ fn is_negative(word: &str) -> bool {
 /// The words of a command line, in which a point or a number that begins with a minus is no option: a space goes before
 /// it.
 pub fn with_points(words: impl Iterator<Item = OsString>) -> impl Iterator<Item = OsString> {
-    let mut is_query = false;
+    let mut takes_points = false;
     words.map(move |word| {
-        is_query |= word == "query";
-        let begins_so = is_query && word.to_str().is_some_and(is_negative);
+        takes_points |= word == "query" || word == "measure";
+        let begins_so = takes_points && word.to_str().is_some_and(is_negative);
         if begins_so { [OsStr::new(" "), &word].into_iter().collect() } else { word }
     })
 }

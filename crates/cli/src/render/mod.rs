@@ -19,7 +19,8 @@ use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
 use octobayes_data::write_exr;
 use octobayes_data::{Frame, Part};
-use octobayes_evaluation::{Reading, TrainingViews};
+use octobayes_depth::TrainingViews;
+use octobayes_evaluation::Reading;
 use octobayes_session::{OpenedModel, Threshold, image_settings, scaled};
 use octobayes_show::picture::{is_own_sheet, write_sheet};
 

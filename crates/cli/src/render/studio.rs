@@ -6,7 +6,7 @@ use octobayes::Result;
 use octobayes::geometry::Camera;
 use octobayes::render::{Probe, RayAverage, RenderedView, Renderer};
 use octobayes::uncertainty::{BakedField, UncertaintyField, shown_log10, unknowns};
-use octobayes_evaluation::TrainingViews;
+use octobayes_depth::TrainingViews;
 use octobayes_show::picture::Panel;
 
 /// What pictures are made of.

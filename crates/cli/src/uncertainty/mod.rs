@@ -22,7 +22,7 @@ use octobayes::rays::Pixels;
 use octobayes::render::{GradientMethod, Occupancy};
 use octobayes_data::Part;
 use octobayes_data::SamplesReader;
-use octobayes_evaluation::TrainingImages;
+use octobayes_depth::TrainingImages;
 use octobayes_session::{Needs, OpenedModel, Session, given_up};
 
 /// Compute the uncertainty of a trained field from its training cameras

@@ -12,6 +12,7 @@ mod camera_files;
 mod cameras;
 mod clean;
 mod clusters;
+mod depth;
 mod depth_maps;
 mod evaluate;
 #[cfg(unix)]

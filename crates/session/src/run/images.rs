@@ -9,7 +9,8 @@ use octobayes::Result;
 use octobayes::estimate::{Model, RaySettings};
 use octobayes::monitor::{Message, Monitor};
 use octobayes_data::Frame;
-use octobayes_evaluation::{Compared, ImageCheck, TrainingImages, check_images};
+use octobayes_depth::{Compared, TrainingImages};
+use octobayes_evaluation::{ImageCheck, check_images};
 
 impl Session {
     /// The settings of rays with the background that is used; and the comparison of splats with their images in front

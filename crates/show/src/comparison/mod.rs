@@ -84,7 +84,7 @@ impl Comparison<'_> {
     }
 }
 
-fn data_url(image: &RgbImage) -> Result<String> {
+pub(crate) fn data_url(image: &RgbImage) -> Result<String> {
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, QUALITY)
         .encode_image(image)

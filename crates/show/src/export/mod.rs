@@ -5,6 +5,7 @@
 
 mod axes;
 mod cells;
+mod depth_points;
 mod hyper_tree;
 mod leaves;
 mod mesh;
@@ -14,6 +15,7 @@ mod report;
 mod splats;
 mod surface_net;
 
+pub use depth_points::{DepthPoint, write_depth_points};
 pub use hyper_tree::write_hyper_tree;
 pub use leaves::write_leaves;
 pub use mesh::{MeshSettings, write_mesh};

@@ -7,7 +7,8 @@ use octobayes::geometry::Ray;
 use octobayes::monitor::Silent;
 use octobayes::render::{CompositingWeights, RenderedView, Renderer, TraceBuffers, Tracer};
 use octobayes::uncertainty::UncertaintyField;
-use octobayes_evaluation::{EvaluatedView, TrainingViews, TrueView};
+use octobayes_depth::TrainingViews;
+use octobayes_evaluation::{EvaluatedView, TrueView};
 use rayon::prelude::*;
 
 /// Rays that are traced together.

@@ -10,12 +10,11 @@ use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{GradientMethod, RayAverage, Renderer, VolumeRenderer};
 use octobayes::uncertainty::{Residuals, UncertaintyField};
 use octobayes::{Error, Result};
+use octobayes_depth::{TrainingViews, compare_images};
 use octobayes_evaluation::metrics::{
     Calibration, Detection, ErrorDensity, ErrorKind, PROBABILITIES, sparsification, spearman,
 };
-use octobayes_evaluation::{
-    DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, compare_images,
-};
+use octobayes_evaluation::{DepthError, EvaluatedView, Evaluator, Measure, Reading, TrueView};
 use serde::{Deserialize, Serialize};
 
 use crate::baselines::{Baselines, density_aware};

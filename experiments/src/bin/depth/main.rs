@@ -8,6 +8,7 @@
 mod baselines;
 mod candidates;
 mod correlations;
+mod deviation;
 mod full;
 mod joint;
 mod judge;
@@ -72,6 +73,20 @@ const TESTING: [((&str, Up), Seen); 10] = [
     (ARMADILLO, SIDE_ONLY),
     (NEFERTITI, SIDE_ONLY),
 ];
+/// Scenes by which the deviation of `depth` was fitted.
+const FITTED: [((&str, Up), Seen); 4] = [(SPOT, FEW), (SPOT, HALF), (BUNNY, HALF), (BUNNY, HOLE)];
+/// Scenes of other meshes, by which it is judged; the first few beside an ensemble.
+const JUDGED: [((&str, Up), Seen); 8] = [
+    (ARMADILLO, HALF),
+    (NEFERTITI, HOLE),
+    (ARMADILLO, FEW),
+    (NEFERTITI, FEW),
+    (NEFERTITI, HALF),
+    (ARMADILLO, HOLE),
+    (ARMADILLO, SIDE_ONLY),
+    (NEFERTITI, SIDE_ONLY),
+];
+const BESIDE_ENSEMBLES: usize = 3;
 /// Lego has its own block: its depth maps have steps wider than many errors.
 const OF_LEGO: [((&str, Up), Seen); 4] = [(LEGO, FEW), (LEGO, HALF), (LEGO, HOLE), (LEGO, SIDE_ONLY)];
 /// Lego from few to all of its views.
@@ -101,6 +116,8 @@ fn main() -> Result<()> {
             ("lego-by-views", Needs::Data),
             ("kitchen", Needs::Data),
             ("kinds", Needs::Data),
+            ("deviation", Needs::Data),
+            ("deviation-elsewhere", Needs::Data),
             ("pretrained", Needs::Data),
             ("misses", Needs::Data),
             ("correlations", Needs::Data),
@@ -172,6 +189,39 @@ fn main() -> Result<()> {
         let measure = |scene: &Scene| work.row((scene.name(), scene.steps), || kinds::measure(scene, SEEDS[0]));
         let rows = scenes(&TESTING, STEPS).iter().map(measure).collect::<Result<Vec<_>>>()?;
         Ok((settings(STEPS, &SEEDS[..1]), kinds::table(&rows)))
+    })?;
+    program.part("deviation", |work| {
+        let [fitted, tested] = [&FITTED[..], &JUDGED].map(|cases| scenes(cases, STEPS));
+        let measure = |scene: &Scene| {
+            let others = if tested.iter().take(BESIDE_ENSEMBLES).any(|t| t.name() == scene.name()) { 4 } else { 0 };
+            work.row((scene.name(), scene.steps), || {
+                deviation::measure(scene, deviation::Kind::Volume, SEEDS[0], others)
+            })
+        };
+        let fitted = fitted.iter().map(&measure).collect::<Result<Vec<_>>>()?;
+        let rows = tested.iter().map(&measure).collect::<Result<Vec<_>>>()?;
+        let table = deviation::table(&names(&tested), &rows);
+        let text = format!("{table}\n### Exponents that spot and the bunny give\n\n{}", deviation::fit(&fitted));
+        Ok((settings_with(SIDE, 1, STEPS, &SEEDS[..1]), text))
+    })?;
+    program.part("deviation-elsewhere", |work| {
+        use deviation::Kind::{Splats, Volume};
+        let cases = [
+            (scenes(&[(LEGO, Seen::Few(20))], STEPS)[0], Volume),
+            (scenes(&OF_A_KITCHEN, STEPS)[0], Volume),
+            (scenes(&[(ARMADILLO, FEW)], STEPS)[0], Splats),
+            (scenes(&[(NEFERTITI, HALF)], STEPS)[0], Splats),
+            (scenes(&[(LEGO, Seen::Few(20))], STEPS)[0], Splats),
+        ];
+        let measure = |(scene, kind): &(Scene, deviation::Kind)| {
+            work.row((scene.name(), scene.steps, kind), || deviation::measure(scene, *kind, SEEDS[0], 0))
+        };
+        let name = |(scene, kind): &(Scene, deviation::Kind)| {
+            if *kind == Splats { format!("{}, splats", scene.name()) } else { scene.name() }
+        };
+        let rows = cases.iter().map(measure).collect::<Result<Vec<_>>>()?;
+        let text = deviation::table(&cases.iter().map(name).collect::<Vec<_>>(), &rows);
+        Ok((settings_with(SIDE, 1, STEPS, &SEEDS[..1]), text))
     })?;
     program.part("pretrained", |work| {
         let row = |name: &&str| Ok(vec![work.row(name, || pretrained::measure(name))?]);

@@ -10,10 +10,9 @@ use octobayes::monitor::Silent;
 use octobayes::posterior::{DataScale, Scale};
 use octobayes::render::VolumeRenderer;
 use octobayes::{Error, Result};
+use octobayes_depth::{CONFIRMING_VIEWS, TrainingImage, TrainingViews, compare_images};
 use octobayes_evaluation::metrics::{Calibration, PROBABILITIES};
-use octobayes_evaluation::{
-    CONFIRMING_VIEWS, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, compare_images,
-};
+use octobayes_evaluation::{EvaluatedView, Evaluator, Measure, Reading, TrueView};
 use serde::{Deserialize, Serialize};
 
 use crate::judge::{STRIDE, grid};
@@ -94,7 +93,7 @@ pub fn judge(data: &Data, field: &dyn TrainedField, psnr: f64, rays: RaySettings
     let training = TrainingViews::render(&plain, &data.strided_cameras(offset), offset, &Silent)?;
     let images = data.for_residuals(offset);
     let compared = compare_images(&plain, images.iter().cloned().map(Ok), run.field.lattice(), &Silent)?;
-    let look = |image: TrueView| {
+    let look = |image: TrainingImage| {
         let seen = TrainingViews::render(&plain, &[image.camera], offset, &Silent)?;
         Ok(Look { image, seen })
     };
@@ -227,7 +226,7 @@ impl Pixels {
 
 /// A training image, and what its camera sees of the model.
 struct Look {
-    image: TrueView,
+    image: TrainingImage,
     seen: TrainingViews,
 }
 

@@ -7,6 +7,7 @@ use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::{Error, Result};
 use octobayes_data::{DepthKind, DepthReadings, Frame, Views};
+use octobayes_depth::{Photograph, TrainingImage};
 use octobayes_evaluation::{DepthFiles, DepthMeaning, TrueParts, TrueView};
 use octobayes_models::HashGrid;
 use octobayes_synth::{DEPTH_PNG_SCALE, DatasetSettings, Mesh, MeshScene, Up, write_dataset};
@@ -189,12 +190,39 @@ impl Data {
 
     /// Every so many pixels of the held-out views, along x and y.
     pub fn held_out(&self, pixel_offset: f64, stride: u32) -> Result<Vec<TrueView>> {
+        self.held_out_with(pixel_offset, stride, 0.0)
+    }
+
+    /// The same, of which kinds of pixels are known: a depth jumps if it changes by more than `jump`, scene units.
+    pub fn held_out_with(&self, pixel_offset: f64, stride: u32, jump: f64) -> Result<Vec<TrueView>> {
         let views = Views::read(&self.folder.join("transforms_test.json"), None)?;
-        let found = self.depth.find(&views.path, &views.frames, &views.frames)?;
+        self.true_views(&views, &views.frames, pixel_offset, stride, jump)
+    }
+
+    /// The training views of a mesh; none where their depth is not known.
+    pub fn own_views(&self, pixel_offset: f64, jump: f64) -> Result<Vec<TrueView>> {
+        if self.mesh.is_none() {
+            return Ok(Vec::new());
+        }
+        let views = Views::read(&self.folder.join("transforms_train.json"), None)?;
+        let names: Vec<&str> = self.shots.iter().map(|shot| &*shot.name).collect();
+        let own: Vec<Frame> = views.frames.iter().filter(|frame| names.contains(&&*frame.name)).cloned().collect();
+        self.true_views(&views, &own, pixel_offset, 1, jump)
+    }
+
+    fn true_views(
+        &self,
+        views: &Views,
+        frames: &[Frame],
+        pixel_offset: f64,
+        stride: u32,
+        jump: f64,
+    ) -> Result<Vec<TrueView>> {
+        let found = self.depth.find(&views.path, frames, &views.frames)?;
         let (frames, encoding) = (found.frames, found.encoding);
         let all_of_space = || Error::setting("domain", "a box", "all of space");
         let bounds = *self.domain.bounds().ok_or_else(all_of_space)?;
-        let depth = DepthMeaning { encoding, bounds, jump: 0.0 };
+        let depth = DepthMeaning { encoding, bounds, jump };
         let every = frames.len().div_ceil(TEST_VIEWS as usize).max(1);
         let stride = stride * self.stride;
         let read = |frame: &Frame| {
@@ -218,9 +246,29 @@ impl Data {
         self.cameras.iter().map(|camera| camera.strided(self.stride, pixel_offset)).collect()
     }
 
+    pub fn shots(&self) -> &[Shot] {
+        &self.shots
+    }
+
+    /// The training images.
+    pub fn photographs(&self, pixel_offset: f64) -> Vec<Photograph> {
+        let photograph =
+            |shot: &Shot| Photograph::new(shot.camera, shot.image.clone(), shot.mask.clone(), DVec3::ONE, pixel_offset);
+        self.shots.iter().map(photograph).collect()
+    }
+
     /// The training images, as the residuals looks at them.
-    pub fn for_residuals(&self, pixel_offset: f64) -> Vec<TrueView> {
-        self.images(pixel_offset, RESIDUAL_STRIDE, None)
+    pub fn for_residuals(&self, pixel_offset: f64) -> Vec<TrainingImage> {
+        let images = self.images(pixel_offset, RESIDUAL_STRIDE, None).into_iter();
+        let training = |TrueView { camera, whole, stride, pixel_offset, colors, kept, .. }| TrainingImage {
+            camera,
+            whole,
+            stride,
+            pixel_offset,
+            colors,
+            kept,
+        };
+        images.map(training).collect()
     }
 
     /// The training images, as a regression looks at them: every pixel has a depth, which means nothing.

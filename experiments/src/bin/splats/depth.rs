@@ -10,7 +10,8 @@ use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{Outputs, Probe, RayAverage, RenderedView, Renderer};
 use octobayes::{Error, Result};
 use octobayes_data::{Frame, Views};
-use octobayes_evaluation::{DepthMeaning, EvaluatedView, Evaluator, Reading, Score, TrainingViews, TrueView};
+use octobayes_depth::TrainingViews;
+use octobayes_evaluation::{DepthMeaning, EvaluatedView, Evaluator, Reading, Score, TrueView};
 use octobayes_splats::{Hits, SplatRenderer, Splats};
 use serde::{Deserialize, Serialize};
 

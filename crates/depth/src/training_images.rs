@@ -2,14 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use super::TrueView;
-use super::depth_files::each_has_its_own;
-use octobayes::geometry::Lattice;
+use glam::DVec3;
+use octobayes::geometry::{Camera, Lattice};
 use octobayes::monitor::Monitor;
 use octobayes::render::Renderer;
 use octobayes::uncertainty::{ColorSpread, ColorSums, ResidualSums, Residuals, UncertaintyField};
 use octobayes::{Error, Result};
-use octobayes_data::{Frame, image_path};
+use octobayes_data::{Frame, PosedImage, each_has_its_own, image_path, read_masks};
 
 /// Approximate number of rendered pixels, over all training images.
 const PIXELS: u64 = 1 << 18;
@@ -34,6 +33,42 @@ impl Compared {
             Some(spread) => field.with_color_spread(spread),
             None => Ok(field),
         }
+    }
+}
+
+/// Some pixels of a training image.
+#[derive(Debug, Clone)]
+pub struct TrainingImage {
+    /// A camera with exactly these pixels.
+    pub camera: Camera,
+    /// The camera of the whole image. These are every [`TrainingImage::stride`]-th of its pixels along x and y.
+    pub whole: Camera,
+    /// See [`TrainingImage::whole`].
+    pub stride: u32,
+    /// Position in a pixel that its ray passes through, 0 to 1 along x and y.
+    pub pixel_offset: f64,
+    /// `[height · width]`: colour over the background, in [0, 1].
+    pub colors: Vec<DVec3>,
+    /// `[height · width]`: true if the pixel is not masked.
+    pub kept: Vec<bool>,
+}
+
+impl TrainingImage {
+    /// Reads every `stride`-th pixel along x and y of a frame's image at the size of the camera.
+    ///
+    /// # Errors
+    /// If a file is missing or damaged, or its size differs from the camera's.
+    pub fn read(frame: &Frame, background: DVec3, pixel_offset: f64, stride: u32) -> Result<Self> {
+        let image = PosedImage::of(frame)?;
+        let mask = read_masks(std::slice::from_ref(frame))?.swap_remove(0);
+        let whole = frame.camera;
+        let camera = whole.strided(stride, pixel_offset);
+        let [width, height] = camera.resolution;
+        let places = || (0..height).flat_map(|row| (0..width).map(move |column| [column * stride, row * stride]));
+        let color = |[x, y]: [u32; 2]| image.over((y * whole.resolution[0] + x) as usize, background);
+        let keeps = |[x, y]: [u32; 2]| mask.as_ref().is_none_or(|mask| mask.keeps(x, y));
+        let (colors, kept) = (places().map(color).collect(), places().map(keeps).collect());
+        Ok(Self { camera, whole, stride, pixel_offset, colors, kept })
     }
 }
 
@@ -101,7 +136,7 @@ impl TrainingImages {
         let pixels: u64 = self.0.iter().map(|frame| frame.camera.pixels()).sum();
         let stride = (pixels as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as u32;
         let background = renderer.background();
-        let images = self.0.iter().map(|frame| TrueView::read(frame, None, background, pixel_offset, stride));
+        let images = self.0.iter().map(|frame| TrainingImage::read(frame, background, pixel_offset, stride));
         let rows = |frame: &Frame| u64::from(frame.camera.resolution[1].div_ceil(stride));
         monitor.begin("rows of training images", self.0.iter().map(rows).sum());
         let compared = compare_images(renderer, images, of, monitor)?;
@@ -120,14 +155,14 @@ impl TrainingImages {
 /// Those of the images, and [`octobayes::Error::Interrupted`].
 pub fn compare_images(
     renderer: &dyn Renderer,
-    images: impl IntoIterator<Item = Result<TrueView>>,
+    images: impl IntoIterator<Item = Result<TrainingImage>>,
     of: &Lattice,
     monitor: &dyn Monitor,
 ) -> Result<Compared> {
     let (mut residuals, mut colors) = (ResidualSums::new(of), ColorSums::new(of));
     for image in images {
         let image = image?;
-        let TrueView { whole, stride, pixel_offset, .. } = &image;
+        let TrainingImage { whole, stride, pixel_offset, .. } = &image;
         let view = renderer.strided_image(whole, *stride, *pixel_offset, &[], &[], monitor)?;
         let width = image.camera.resolution[0] as usize;
         let at = |i: usize, depth: f64| {
@@ -146,14 +181,12 @@ pub fn compare_images(
 
 #[cfg(test)]
 mod tests {
-    use glam::{DVec3, Vec3};
+    use glam::Vec3;
 
     use super::*;
     use octobayes::field::{ClosedForm, RadianceField};
-    use octobayes::geometry::Camera;
     use octobayes::monitor::Silent;
     use octobayes::render::{Marcher, Tracer, VolumeRenderer};
-    use octobayes_data::DepthReadings;
 
     const SIDE: u32 = 64;
 
@@ -162,21 +195,9 @@ mod tests {
         VolumeRenderer { tracer: Tracer { field: ball, marcher, background: Vec3::ONE }, differentiation: None }
     }
 
-    fn image(camera: Camera, colors: Vec<DVec3>) -> TrueView {
-        let pixels = (SIDE * SIDE) as usize;
-        TrueView {
-            name: String::new(),
-            camera,
-            whole: camera,
-            stride: 1,
-            pixel_offset: 0.5,
-            colors,
-            kept: vec![true; pixels],
-            covered: vec![true; pixels],
-            distance: vec![None; pixels],
-            readings: DepthReadings::default(),
-            parts: crate::TrueParts::default(),
-        }
+    fn image(camera: Camera, colors: Vec<DVec3>) -> TrainingImage {
+        let kept = vec![true; (SIDE * SIDE) as usize];
+        TrainingImage { camera, whole: camera, stride: 1, pixel_offset: 0.5, colors, kept }
     }
 
     /// Two cameras look at one side of a ball. A picture painted on it they show alike; of a picture that hangs in the

@@ -1,0 +1,146 @@
+//! `measure`: the distance of two points on surfaces, with its deviation.
+
+use std::path::PathBuf;
+
+use glam::DVec3;
+use serde_json::json;
+
+use super::depth::{Look, SceneOptions, Unit, UnitOptions};
+use super::options::{heading, model_name, numbers};
+use super::progress::Bars;
+use octobayes::{Error, Result};
+use octobayes_depth::{Length, Snapped, SurfacePoint, Trust};
+
+/// Deviations within which nine of ten errors lie, if they are normal.
+pub const NINETY: f64 = 1.645;
+
+/// Measure the distance of two points on surfaces, with its deviation
+///
+/// A and B are points x,y,z in scene units. Each is moved to the surface that a training camera sees there, along the
+/// view in which its depth has the smallest deviation; a point in the air, or inside something, is refused with the
+/// nearest surface. The deviation joins those of both depths, as far as they lie along the line, with their correlation
+/// through the field's vertices that both share, and the width of a pixel.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  \
+    octobayes measure lego.safetensors depth/field.oct 0.1,0.3,0.2 -0.4,0.1,0.2\n  \
+    octobayes measure scene.ply depth/field.oct 1.2,0.3,2 0.1,0.4,2.2 --cameras cameras.json --metres-per-unit 0.5")]
+pub struct Args {
+    /// The trained model
+    #[arg(value_name = "MODEL", value_parser = model_name())]
+    model: String,
+
+    /// The field of `depth` (or of `uncertainty --for depth`; without it, it is computed first), and the points
+    #[arg(value_names = ["[FIELD.oct] A", "B"], num_args = 2..=3, required = true)]
+    places: Vec<String>,
+
+    #[command(flatten)]
+    scene: SceneOptions,
+
+    #[command(flatten)]
+    unit: UnitOptions,
+
+    /// Print one JSON object
+    #[arg(long, help_heading = heading::OUTPUT)]
+    json: bool,
+}
+
+impl Args {
+    /// Runs the verb.
+    pub fn run(mut self, bars: &Bars) -> Result<()> {
+        let (field, points) = match &self.places[..] {
+            [field, a, b] => (Some(PathBuf::from(field)), [a, b]),
+            [a, b] => (None, [a, b]),
+            _ => unreachable!("two or three by their number"),
+        };
+        let point = |text: &String| {
+            let wrong = |found| Error::setting("point", "x,y,z in scene units, such as 1.2,0.3,2", found);
+            numbers::<3>(text.trim()).map(DVec3::from).map_err(wrong)
+        };
+        let points = [point(points[0])?, point(points[1])?];
+        let unit = self.unit.unit()?;
+        let files = self.scene.files(&self.model, field.as_deref())?;
+        files.check()?;
+        let scene = self.scene.open(&self.model, field.as_deref(), &files, None, bars)?;
+        // A picture of 31 pixels a side for a few views of each point.
+        scene.look(20_000, bars, |look| self.measure(look, points, unit))
+    }
+
+    fn measure(&self, look: &Look, points: [DVec3; 2], unit: Unit) -> Result<()> {
+        let names = ["A", "B"];
+        let snap = |k: usize| on_surface(look, names[k], points[k], unit);
+        let ends = [snap(0)?, snap(1)?];
+        let Length { length, deviation, correlation } = Length::between(&ends[0], &ends[1], look.field)?;
+        let [length, deviation] = [length, deviation].map(|v| unit.factor * v);
+        let name = |end: &SurfacePoint| octobayes::error::printable(&look.frames[end.camera].name).to_string();
+        if self.json {
+            let point = |end: &SurfacePoint| {
+                json!({
+                    "position": end.position.to_array(), "view": name(end), "sigma": unit.factor * end.deviation,
+                    "trust": end.trust.name(),
+                })
+            };
+            return say!(
+                "{}",
+                json!({
+                    "length": length, "sigma": deviation, "interval_90": NINETY * deviation, "unit": unit.name(),
+                    "correlation": correlation, "points": ends.map(|end| point(&end)),
+                })
+            );
+        }
+        for (k, end) in ends.iter().enumerate() {
+            let moved = unit.factor * end.position.distance(points[k]);
+            announce!(
+                "note: {} moved {} {} to the surface, {} ± {} along the view of {}",
+                names[k],
+                figure(moved, moved),
+                unit.name(),
+                place(end.position),
+                figure(NINETY * unit.factor * end.deviation, unit.factor * end.deviation),
+                name(end)
+            );
+            if end.trust != Trust::Trusted {
+                announce!("warning: the depth of {} cannot be trusted: {}", names[k], end.trust);
+            }
+        }
+        let wide = NINETY * deviation;
+        say!("{} {} ± {} (90 %)", figure(length, wide), unit.name(), figure(wide, wide))
+    }
+}
+
+/// The surface at a point, or why there is none.
+fn on_surface(look: &Look, name: &str, x: DVec3, unit: Unit) -> Result<SurfacePoint> {
+    let expected = "a point on a surface that a training camera sees";
+    match look.surveyor.snap(x)? {
+        Snapped::On(found) => Ok(found),
+        Snapped::Off(nearest, farther) => {
+            let far = unit.factor * farther.abs();
+            let side = if farther > 0.0 { "behind" } else { "in front of" };
+            let view = octobayes::error::printable(&look.frames[nearest.camera].name);
+            let found = format!(
+                "{}; the nearest surface lies {} {} {side} it, at {} in the view of {view}",
+                place(x),
+                figure(far, far),
+                unit.name(),
+                place(nearest.position)
+            );
+            Err(Error::setting(name, expected, found))
+        }
+        Snapped::Unseen => {
+            let found = format!("{}, where no training camera sees anything", place(x));
+            Err(Error::setting(name, expected, found))
+        }
+    }
+}
+
+/// A point in scene units.
+fn place(x: DVec3) -> String {
+    // To a thousandth of the largest coordinate.
+    let [x, y, z] = x.to_array().map(|v| figure(v, 0.1 * x.abs().max_element()));
+    format!("{x},{y},{z}")
+}
+
+/// A number with two digits of what is `uncertain` of it.
+fn figure(value: f64, uncertain: f64) -> String {
+    let digits = if uncertain > 0.0 { (1.0 - uncertain.log10().floor()).clamp(0.0, 9.0) as usize } else { 3 };
+    format!("{value:.digits$}")
+}

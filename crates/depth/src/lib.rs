@@ -1,0 +1,22 @@
+//! Where depths of a trained radiance field can be trusted, in scene units.
+
+// Both macros panic if the stream cannot be written.
+#![cfg_attr(not(test), warn(clippy::print_stderr, clippy::print_stdout))]
+
+mod deviation;
+mod edges;
+mod measure;
+mod photographs;
+mod sweep;
+mod training_images;
+mod training_views;
+mod trust;
+
+pub use deviation::{DepthDeviation, JUMP, LEVEL};
+pub use edges::pixels_to_edge;
+pub use measure::{Length, Snapped, SurfacePoint, Surveyor};
+pub use photographs::Photograph;
+pub use sweep::Sweep;
+pub use training_images::{Compared, TrainingImage, TrainingImages, compare_images};
+pub use training_views::{CONFIRMING_VIEWS, Sighting, TrainingViews};
+pub use trust::Trust;

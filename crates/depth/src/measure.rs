@@ -1,0 +1,145 @@
+//! Lengths between points on surfaces, with their deviations.
+
+use glam::DVec3;
+use octobayes::Result;
+use octobayes::geometry::Camera;
+use octobayes::monitor::Silent;
+use octobayes::render::{DepthSample, DepthVariance, Renderer};
+use octobayes::uncertainty::UncertaintyField;
+
+use super::{DepthDeviation, JUMP, TrainingViews, Trust};
+
+/// Pixels of the picture around a point, along each side: farther edges do not count.
+const SIDE: u32 = 31;
+/// Training cameras in whose views a point is looked for: of those that have it inside, the nearest.
+const VIEWS: usize = 12;
+
+/// Training cameras in front of a model, from which points are looked at.
+pub struct Surveyor<'a> {
+    /// The model for images.
+    pub renderer: &'a dyn Renderer,
+    /// The training cameras.
+    pub cameras: &'a [Camera],
+    /// What they see.
+    pub training: &'a TrainingViews,
+    /// Deviations of depth.
+    pub deviation: &'a DepthDeviation<'a>,
+    /// Where in a pixel rays pass.
+    pub pixel_offset: f64,
+}
+
+/// A point on a surface that a training camera sees.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfacePoint {
+    /// Scene units.
+    pub position: DVec3,
+    /// Index of the camera whose view determines it best.
+    pub camera: usize,
+    /// Away from that camera.
+    pub direction: DVec3,
+    /// Standard deviation along the direction, scene units.
+    pub deviation: f64,
+    /// Width of a pixel of that camera there, scene units.
+    pub pixel: f64,
+    /// Whether its depth can be trusted.
+    pub trust: Trust,
+}
+
+/// What is at a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Snapped {
+    /// A surface.
+    On(SurfacePoint),
+    /// No surface of this point's views: the nearest along them, and how much farther from the camera that is, scene
+    /// units, negative in front of it.
+    Off(SurfacePoint, f64),
+    /// No training camera has the point in its picture, or sees anything there.
+    Unseen,
+}
+
+/// A length between two points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Length {
+    /// Scene units.
+    pub length: f64,
+    /// Its standard deviation, scene units.
+    pub deviation: f64,
+    /// Correlation of the two depths, from -1 to 1.
+    pub correlation: f64,
+}
+
+impl Surveyor<'_> {
+    /// Moves a point along a view of it to the surface that the view shows. Of the training views that show one there,
+    /// within a [jump](JUMP), the one of the smallest deviation counts.
+    ///
+    /// # Errors
+    /// If the model cannot render a camera.
+    pub fn snap(&self, x: DVec3) -> Result<Snapped> {
+        let distance = |i: usize| self.cameras[i].position.distance(x);
+        let mut inside: Vec<usize> =
+            (0..self.cameras.len()).filter(|&i| self.cameras[i].project_inside(x).is_some()).collect();
+        inside.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+        inside.truncate(VIEWS);
+        let (mut best, mut nearest): (Option<SurfacePoint>, Option<(SurfacePoint, f64)>) = (None, None);
+        for i in inside {
+            let Some(found) = self.in_view(i, x)? else { continue };
+            let farther = found.position.distance(self.cameras[i].position) - distance(i);
+            if farther.abs() <= JUMP * distance(i) && best.is_none_or(|best| found.deviation < best.deviation) {
+                best = Some(found);
+            }
+            if nearest.is_none_or(|(_, other)| farther.abs() < other.abs()) {
+                nearest = Some((found, farther));
+            }
+        }
+        Ok(match (best, nearest) {
+            (Some(best), _) => Snapped::On(best),
+            (None, Some((nearest, farther))) => Snapped::Off(nearest, farther),
+            (None, None) => Snapped::Unseen,
+        })
+    }
+
+    /// The surface that camera `i` shows where it has the point; `None` if it shows none.
+    fn in_view(&self, i: usize, x: DVec3) -> Result<Option<SurfacePoint>> {
+        let camera = &self.cameras[i];
+        let Some((at, _)) = camera.project_inside(x) else { return Ok(None) };
+        // Its middle pixel has the ray through the point.
+        let middle = (SIDE / 2) as usize;
+        let center = [0, 1].map(|k| camera.center[k] - at[k] + middle as f64 + self.pixel_offset);
+        let crop = Camera { center, resolution: [SIDE; 2], ..*camera };
+        let view = self.renderer.image(&crop, self.pixel_offset, &[], &[], &Silent)?;
+        let index = middle * SIDE as usize + middle;
+        let pixel = &view.pixels[index];
+        if pixel.opacity <= 0.5 {
+            return Ok(None);
+        }
+        let deviation = self.deviation.of_view(self.renderer, &crop, self.pixel_offset, &view, &Silent)?[index];
+        let trust = Trust::of_view(self.training, &crop, self.pixel_offset, &view, true)[index];
+        let ray = camera.ray(at[0], at[1]);
+        let position = ray.at(pixel.median_depth);
+        let width = pixel.median_depth / camera.focal[0].min(camera.focal[1]);
+        Ok(Some(SurfacePoint { position, camera: i, direction: ray.direction, deviation, pixel: width, trust }))
+    }
+}
+
+impl Length {
+    /// The length between two points. Errors are along the views that determine the points, and correlated as the
+    /// displacements of the field there are, through the vertices that they share; across the views they are a pixel's:
+    /// σ² = (σ₁ c₁)² + (σ₂ c₂)² − 2 ρ σ₁ c₁ σ₂ c₂ + (p₁² + p₂²) / 12, where c is the cosine between a view and the line.
+    ///
+    /// # Errors
+    /// If the field is in the paper's scale.
+    pub fn between(a: &SurfacePoint, b: &SurfacePoint, field: &UncertaintyField) -> Result<Self> {
+        let posterior = field.depth_posterior()?;
+        let sample =
+            |point: &SurfacePoint| DepthSample { position: point.position.as_vec3(), gradient: point.direction };
+        let samples = [sample(a), sample(b)];
+        let [of_a, of_b, of_sum] =
+            [&samples[..1], &samples[1..], &samples[..]].map(|samples| posterior.variance(samples));
+        let correlation = ((of_sum - of_a - of_b) / (2.0 * (of_a * of_b).sqrt())).clamp(-1.0, 1.0);
+        let line = (b.position - a.position).normalize_or_zero();
+        let [along_a, along_b] = [a, b].map(|point| point.deviation * point.direction.dot(line));
+        let across = (a.pixel * a.pixel + b.pixel * b.pixel) / 12.0;
+        let variance = along_a * along_a + along_b * along_b - 2.0 * correlation * along_a * along_b + across;
+        Ok(Self { length: a.position.distance(b.position), deviation: variance.max(0.0).sqrt(), correlation })
+    }
+}

@@ -1,0 +1,104 @@
+//! Training images, for colours between pixels.
+
+use glam::DVec3;
+
+use octobayes::Result;
+use octobayes::geometry::{Camera, Mask};
+use octobayes_data::{Frame, PosedImage, read_masks};
+
+/// A training image, small enough to be kept in memory beside all others.
+#[derive(Debug, Clone)]
+pub struct Photograph {
+    /// With the pixels that are kept.
+    camera: Camera,
+    pixel_offset: f64,
+    /// `[height · width]`: red, green, blue over the background.
+    pixels: Vec<[u8; 3]>,
+    mask: Option<Mask>,
+}
+
+impl Photograph {
+    /// Longest side that is kept, pixels.
+    pub const SIDE: u32 = 512;
+
+    /// Reads the image and the mask of a frame.
+    ///
+    /// # Errors
+    /// If a file is missing or damaged, or its size differs from the camera's.
+    pub fn read(frame: &Frame, background: DVec3, pixel_offset: f64) -> Result<Self> {
+        let mask = read_masks(std::slice::from_ref(frame))?.swap_remove(0);
+        Ok(Self::new(frame.camera, PosedImage::of(frame)?, mask, background, pixel_offset))
+    }
+
+    /// An image at the size of its camera.
+    #[must_use]
+    pub fn new(camera: Camera, image: PosedImage, mask: Option<Mask>, background: DVec3, pixel_offset: f64) -> Self {
+        let longest = camera.resolution[0].max(camera.resolution[1]);
+        let small = camera.resolution.map(|n| (n * Self::SIDE.min(longest)).div_ceil(longest));
+        let image = image.shrunk(small);
+        let mask = mask.map(|mask| mask.shrunk(small));
+        let byte = |v: f64| (255.0 * v).round() as u8;
+        let pixels = (0..image.len()).map(|i| image.over(i, background).to_array().map(byte)).collect();
+        Self { camera: camera.resized(small), pixel_offset, pixels, mask }
+    }
+
+    /// The camera of the pixels that are kept.
+    #[must_use]
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// The colour where the image shows a scene point, between the four nearest pixels, in [0, 1]. `None` outside the
+    /// image, and where it is masked.
+    #[must_use]
+    pub fn color(&self, x: DVec3) -> Option<[f32; 3]> {
+        let (at, _) = self.camera.project_inside(x)?;
+        if self.mask.as_ref().is_some_and(|mask| !mask.keeps(at[0] as u32, at[1] as u32)) {
+            return None;
+        }
+        let [width, height] = self.camera.resolution;
+        let cell = |v: f64, n: u32| {
+            let v = (v - self.pixel_offset).clamp(0.0, f64::from(n - 1));
+            let low = (v as u32).min(n.saturating_sub(2));
+            (low as usize, (low + 1).min(n - 1) as usize, (v - f64::from(low)) as f32)
+        };
+        let (left, right, u) = cell(at[0], width);
+        let (top, bottom, v) = cell(at[1], height);
+        let pixel = |x: usize, y: usize| self.pixels[y * width as usize + x].map(|v| f32::from(v) / 255.0);
+        let [a, b, c, d] = [pixel(left, top), pixel(right, top), pixel(left, bottom), pixel(right, bottom)];
+        Some(std::array::from_fn(|k| {
+            let (upper, lower) = (a[k] + u * (b[k] - a[k]), c[k] + u * (d[k] - c[k]));
+            upper + v * (lower - upper)
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_are_those_of_the_pixels_and_between_them() {
+        // A ramp along x: pixel column c has the red c / 8.
+        let camera = Camera::look_at(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, DVec3::Y, 0.8, [8, 6]);
+        let pixels = (0..48).map(|i| [(i % 8) as u8 * 32, 10, 20, 255]).collect();
+        let mask = Mask::new([8, 6], |column, row| row > 0 || column < 4);
+        let image = PosedImage::new([8, 6], pixels);
+        let photograph = Photograph::new(camera, image, Some(mask), DVec3::ONE, 0.5);
+        let at = |x: f64, y: f64| photograph.color(camera.ray(x, y).at(3.0));
+        let red = |x: f64, y: f64| 255.0 * f64::from(at(x, y).unwrap()[0]);
+        assert!((red(3.5, 2.5) - 96.0).abs() < 1e-3 && (red(4.0, 2.5) - 112.0).abs() < 1e-3);
+        assert!((red(0.1, 2.5) - 0.0).abs() < 1e-3, "the border goes on");
+        assert!(at(6.5, 0.5).is_none() && at(2.5, 0.5).is_some(), "masked");
+        assert!(
+            photograph.color(camera.ray(4.0, -0.5).at(3.0)).is_none() && photograph.color(DVec3::Z * 9.0).is_none()
+        );
+        // Larger ones become smaller, with cameras to match.
+        let large = Camera::look_at(DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, DVec3::Y, 0.8, [1024, 2048]);
+        let image = PosedImage::new([1024, 2048], vec![[50, 100, 150, 255]; 1024 * 2048]);
+        let kept = Photograph::new(large, image, None, DVec3::ONE, 0.5);
+        assert_eq!(kept.camera().resolution, [256, 512]);
+        let color = kept.color(large.ray(1000.0, 30.0).at(2.0)).unwrap().map(|v| (255.0 * v).round());
+        assert_eq!(color, [50.0, 100.0, 150.0]);
+    }
+}
