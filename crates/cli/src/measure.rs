@@ -5,18 +5,17 @@ use std::path::PathBuf;
 use glam::DVec3;
 use serde_json::json;
 
-use super::depth::{Look, SceneOptions, Unit, UnitOptions};
+use super::depth::{Look, NINETY, SceneOptions, Unit, UnitOptions, figure};
+use super::files::CommandFiles;
 use super::options::{heading, model_name, numbers};
 use super::progress::Bars;
 use octobayes::{Error, Result};
 use octobayes_depth::{Length, Snapped, SurfacePoint, Trust};
 
-/// Deviations within which nine of ten errors lie, if they are normal.
-pub const NINETY: f64 = 1.645;
-
 /// Measure the distance of two points on surfaces, with its deviation
 ///
-/// A and B are points x,y,z in scene units. Each is moved to the surface that a training camera sees there, along the
+/// A and B are points x,y,z: in metres, as in points.ply of `depth`, if an option states the unit, else in scene units.
+/// Each is moved to the surface that a training camera sees there, along the
 /// view in which its depth has the smallest deviation; a point in the air, or inside something, is refused with the
 /// nearest surface. The deviation joins those of both depths, as far as they lie along the line, with their correlation
 /// through the field's vertices that both share, and the width of a pixel.
@@ -53,14 +52,15 @@ impl Args {
             _ => unreachable!("two or three by their number"),
         };
         let point = |text: &String| {
-            let wrong = |found| Error::setting("point", "x,y,z in scene units, such as 1.2,0.3,2", found);
+            let wrong = |found| Error::setting("point", "x,y,z, such as 1.2,0.3,2", found);
             numbers::<3>(text.trim()).map(DVec3::from).map_err(wrong)
         };
-        let points = [point(points[0])?, point(points[1])?];
         let unit = self.unit.unit()?;
+        let points = [point(points[0])? / unit.factor, point(points[1])? / unit.factor];
         let files = self.scene.files(&self.model, field.as_deref())?;
         files.check()?;
-        let scene = self.scene.open(&self.model, field.as_deref(), &files, None, bars)?;
+        let check = |_: &[_], files: CommandFiles| files.check();
+        let scene = self.scene.open(&self.model, field.as_deref(), &files, check, None, bars)?;
         // A picture of 31 pixels a side for a few views of each point.
         scene.look(20_000, bars, |look| self.measure(look, points, unit))
     }
@@ -75,27 +75,26 @@ impl Args {
         if self.json {
             let point = |end: &SurfacePoint| {
                 json!({
-                    "position": end.position.to_array(), "view": name(end), "sigma": unit.factor * end.deviation,
+                    "position": (unit.factor * end.position).to_array(), "view": name(end), "sigma": unit.factor * end.deviation,
                     "trust": end.trust.name(),
                 })
             };
             return say!(
                 "{}",
                 json!({
-                    "length": length, "sigma": deviation, "interval_90": NINETY * deviation, "unit": unit.name(),
+                    "length": length, "sigma": deviation, "interval_90": [length - NINETY * deviation, length + NINETY * deviation], "unit": unit.name(),
                     "correlation": correlation, "points": ends.map(|end| point(&end)),
                 })
             );
         }
         for (k, end) in ends.iter().enumerate() {
-            let moved = unit.factor * end.position.distance(points[k]);
+            let moved = end.position.distance(points[k]);
             announce!(
-                "note: {} moved {} {} to the surface, {} ± {} along the view of {}",
+                "note: {} moved {} to the surface, {} ± {} along the view of {}",
                 names[k],
-                figure(moved, moved),
-                unit.name(),
-                place(end.position),
-                figure(NINETY * unit.factor * end.deviation, unit.factor * end.deviation),
+                unit.length(moved),
+                unit.place(end.position),
+                unit.length(NINETY * end.deviation),
                 name(end)
             );
             if end.trust != Trust::Trusted {
@@ -113,34 +112,20 @@ fn on_surface(look: &Look, name: &str, x: DVec3, unit: Unit) -> Result<SurfacePo
     match look.surveyor.snap(x)? {
         Snapped::On(found) => Ok(found),
         Snapped::Off(nearest, farther) => {
-            let far = unit.factor * farther.abs();
+            let far = farther.abs();
             let side = if farther > 0.0 { "behind" } else { "in front of" };
             let view = octobayes::error::printable(&look.frames[nearest.camera].name);
             let found = format!(
-                "{}; the nearest surface lies {} {} {side} it, at {} in the view of {view}",
-                place(x),
-                figure(far, far),
-                unit.name(),
-                place(nearest.position)
+                "{}; the nearest surface lies {} {side} it, at {} in the view of {view}",
+                unit.place(x),
+                unit.length(far),
+                unit.place(nearest.position)
             );
             Err(Error::setting(name, expected, found))
         }
         Snapped::Unseen => {
-            let found = format!("{}, where no training camera sees anything", place(x));
+            let found = format!("{}, where no training camera sees anything", unit.place(x));
             Err(Error::setting(name, expected, found))
         }
     }
-}
-
-/// A point in scene units.
-fn place(x: DVec3) -> String {
-    // To a thousandth of the largest coordinate.
-    let [x, y, z] = x.to_array().map(|v| figure(v, 0.1 * x.abs().max_element()));
-    format!("{x},{y},{z}")
-}
-
-/// A number with two digits of what is `uncertain` of it.
-fn figure(value: f64, uncertain: f64) -> String {
-    let digits = if uncertain > 0.0 { (1.0 - uncertain.log10().floor()).clamp(0.0, 9.0) as usize } else { 3 };
-    format!("{value:.digits$}")
 }

@@ -2,7 +2,7 @@
 //!
 //! Letters: s the spread of the ray's weights ([`RenderedView::spread`]); t the expected depth; U the uncertainty there,
 //! and h the edge of a cell of the finest level there (of a cube of its volume); b how far from the median depth the training images agree best
-//! ([`Sweep`]), with half a step for what a sweep cannot tell apart; e pixels to an edge ([`pixels_to_edge`]); k a factor
+//! ([`Sweep`]), with half a step for what a sweep cannot tell apart; e pixels to an edge of the depth map; k a factor
 //! of the kind of model.
 //!
 //! - From the field alone: σ = k √(s U′).
@@ -14,7 +14,7 @@
 //! scene whatever that is. They were fitted by the likelihood of errors on two meshes, and hold on others and on
 //! photographs of a room (`experiments/depth.md`), where σ ranks errors better than √(Var + s²) does.
 
-use glam::Vec3;
+use glam::{DMat3, DVec3, Vec3};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Monitor;
 use octobayes::posterior::Scale;
@@ -22,7 +22,8 @@ use octobayes::render::{Pixel, RenderedView, Renderer};
 use octobayes::uncertainty::BakedField;
 use octobayes::{Error, Result};
 
-use super::{Sweep, pixels_to_edge};
+use super::Sweep;
+use super::edges::pixels_to_edge;
 
 /// The level of the fields on which the factors were fitted.
 pub const LEVEL: u8 = 7;
@@ -108,15 +109,19 @@ impl<'a> DepthDeviation<'a> {
         let points: Vec<Vec3> = view.pixels.iter().enumerate().map(expected).collect();
         let found = self.field.query_all(&points);
         let lattice = self.field.field().lattice();
-        let edge = lattice.edge().element_product().cbrt();
+        let (domain, cells) = (lattice.domain(), f64::from(lattice.cells_per_axis()));
+        // The edge of a cube of a cell's volume: the unit cube has cells of one size, and Φ maps the scene to it.
+        let cell = |x: Vec3| {
+            let [i, j, k] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| domain.pull_back(x, axis));
+            1.0 / (cells * DMat3::from_cols(i, j, k).determinant().abs().cbrt())
+        };
         let agreement = self.images.map(|sweep| sweep.of_view(camera, pixel_offset, view, monitor)).transpose()?;
         let edges = self.images.map(|_| pixels_to_edge(view, JUMP));
         let of = |(i, pixel): (usize, &Pixel)| {
             if pixel.opacity <= 0.5 {
                 return [f64::NAN; 4];
             }
-            let cell = edge * lattice.domain().stretch(points[i]);
-            let u = found[i].uncertainty * (CELLS * cell / pixel.expected_depth).powf(1.5);
+            let u = found[i].uncertainty * (CELLS * cell(points[i]) / pixel.expected_depth).powf(1.5);
             let b = agreement.as_ref().map_or(f64::NAN, |b| b[i] + 0.5 * Sweep::STEP * pixel.median_depth);
             [view.spread[i], u, b, edges.as_ref().map_or(f64::NAN, |edges| 1.0 + f64::from(edges[i]))]
         };
@@ -126,7 +131,6 @@ impl<'a> DepthDeviation<'a> {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
     use octobayes::estimate::{Estimation, GridSettings, RaySettings};
     use octobayes::field::{ClosedForm, Radiance, RadianceField, TrainedField};
     use octobayes::geometry::Aabb;

@@ -3,14 +3,14 @@
 use octobayes::render::RenderedView;
 
 /// Farther from a jump than so many pixels, it does not matter how far.
-pub const FARTHEST: u32 = 15;
+const FARTHEST: u32 = 15;
 
 /// `[height · width]`: pixels to the nearest one beside a jump of the median depth by more than `jump` (a share of the nearer
 /// depth), or beside a pixel that shows nothing: 0 on the jump itself, at most [`FARTHEST`].
 ///
 /// The distance is the larger of that along x and that along y.
 #[must_use]
-pub fn pixels_to_edge(view: &RenderedView, jump: f64) -> Vec<u32> {
+pub(crate) fn pixels_to_edge(view: &RenderedView, jump: f64) -> Vec<u32> {
     let [width, height] = view.resolution.map(|n| n as usize);
     let depth = |x: usize, y: usize| {
         let pixel = &view.pixels[y * width + x];

@@ -13,7 +13,6 @@ mod training_views;
 mod trust;
 
 pub use deviation::{DepthDeviation, JUMP, LEVEL};
-pub use edges::pixels_to_edge;
 pub use measure::{Length, Snapped, SurfacePoint, Surveyor};
 pub use photographs::Photograph;
 pub use sweep::Sweep;

@@ -1,11 +1,11 @@
 //! Lengths between points on surfaces, with their deviations.
 
 use glam::DVec3;
-use octobayes::Result;
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
-use octobayes::render::{DepthSample, DepthVariance, Renderer};
+use octobayes::render::{DepthSample, DepthVariance, RenderedView, Renderer};
 use octobayes::uncertainty::UncertaintyField;
+use octobayes::{Error, Result};
 
 use super::{DepthDeviation, JUMP, TrainingViews, Trust};
 
@@ -78,7 +78,10 @@ impl Surveyor<'_> {
         let distance = |i: usize| self.cameras[i].position.distance(x);
         let mut inside: Vec<usize> =
             (0..self.cameras.len()).filter(|&i| self.cameras[i].project_inside(x).is_some()).collect();
-        inside.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+        // Those that see the place first: a wall may hide it from nearer ones.
+        let seeing: Vec<usize> = self.training.seeing(x).map(|(i, _)| i).collect();
+        let hidden = |i: usize| !seeing.contains(&i);
+        inside.sort_by(|&a, &b| hidden(a).cmp(&hidden(b)).then(distance(a).total_cmp(&distance(b))));
         inside.truncate(VIEWS);
         let (mut best, mut nearest): (Option<SurfacePoint>, Option<(SurfacePoint, f64)>) = (None, None);
         for i in inside {
@@ -102,18 +105,22 @@ impl Surveyor<'_> {
     fn in_view(&self, i: usize, x: DVec3) -> Result<Option<SurfacePoint>> {
         let camera = &self.cameras[i];
         let Some((at, _)) = camera.project_inside(x) else { return Ok(None) };
-        // Its middle pixel has the ray through the point.
+        // Pixels around the point, the middle one through it, by the whole camera: splats look otherwise by one of
+        // another size.
         let middle = (SIDE / 2) as usize;
+        let around = |i: u32| [i % SIDE, i / SIDE].map(|n| f64::from(n) - middle as f64);
+        let points = (0..SIDE * SIDE).map(around).map(|[dx, dy]| [at[0] + dx, at[1] + dy]).collect();
+        let view = self.renderer.points(&[(*camera, points)], &Silent)?;
+        let view = RenderedView { resolution: [SIDE; 2], ..view };
         let center = [0, 1].map(|k| camera.center[k] - at[k] + middle as f64 + self.pixel_offset);
         let crop = Camera { center, resolution: [SIDE; 2], ..*camera };
-        let view = self.renderer.image(&crop, self.pixel_offset, &[], &[], &Silent)?;
         let index = middle * SIDE as usize + middle;
         let pixel = &view.pixels[index];
         if pixel.opacity <= 0.5 {
             return Ok(None);
         }
         let deviation = self.deviation.of_view(self.renderer, &crop, self.pixel_offset, &view, &Silent)?[index];
-        let trust = Trust::of_view(self.training, &crop, self.pixel_offset, &view, true)[index];
+        let trust = Trust::of_view(self.training, &crop, self.pixel_offset, &view, Some(i))[index];
         let ray = camera.ray(at[0], at[1]);
         let position = ray.at(pixel.median_depth);
         let width = pixel.median_depth / camera.focal[0].min(camera.focal[1]);
@@ -127,7 +134,7 @@ impl Length {
     /// σ² = (σ₁ c₁)² + (σ₂ c₂)² − 2 ρ σ₁ c₁ σ₂ c₂ + (p₁² + p₂²) / 12, where c is the cosine between a view and the line.
     ///
     /// # Errors
-    /// If the field is in the paper's scale.
+    /// If the field is in the paper's scale, or a deviation is not finite.
     pub fn between(a: &SurfacePoint, b: &SurfacePoint, field: &UncertaintyField) -> Result<Self> {
         let posterior = field.depth_posterior()?;
         let sample =
@@ -135,11 +142,17 @@ impl Length {
         let samples = [sample(a), sample(b)];
         let [of_a, of_b, of_sum] =
             [&samples[..1], &samples[1..], &samples[..]].map(|samples| posterior.variance(samples));
-        let correlation = ((of_sum - of_a - of_b) / (2.0 * (of_a * of_b).sqrt())).clamp(-1.0, 1.0);
+        let product = of_a * of_b;
+        let correlation =
+            if product > 0.0 { (0.5 * (of_sum - of_a - of_b) / product.sqrt()).clamp(-1.0, 1.0) } else { 0.0 };
         let line = (b.position - a.position).normalize_or_zero();
         let [along_a, along_b] = [a, b].map(|point| point.deviation * point.direction.dot(line));
         let across = (a.pixel * a.pixel + b.pixel * b.pixel) / 12.0;
         let variance = along_a * along_a + along_b * along_b - 2.0 * correlation * along_a * along_b + across;
+        if !variance.is_finite() {
+            let expected = "ends whose depths have deviations";
+            return Err(Error::setting("length", expected, format!("{} and {}", a.deviation, b.deviation)));
+        }
         Ok(Self { length: a.position.distance(b.position), deviation: variance.max(0.0).sqrt(), correlation })
     }
 }

@@ -11,7 +11,8 @@ use octobayes_data::{Frame, PosedImage, read_masks};
 pub struct Photograph {
     /// With the pixels that are kept.
     camera: Camera,
-    pixel_offset: f64,
+    /// Where in a kept pixel its colour is, along x and y: that of several pixels is in their middle.
+    offset: [f64; 2],
     /// `[height · width]`: red, green, blue over the background.
     pixels: Vec<[u8; 3]>,
     mask: Option<Mask>,
@@ -39,12 +40,16 @@ impl Photograph {
         let mask = mask.map(|mask| mask.shrunk(small));
         let byte = |v: f64| (255.0 * v).round() as u8;
         let pixels = (0..image.len()).map(|i| image.over(i, background).to_array().map(byte)).collect();
-        Self { camera: camera.resized(small), pixel_offset, pixels, mask }
+        let offset = [0, 1].map(|k| {
+            let share = f64::from(small[k]) / f64::from(camera.resolution[k]);
+            0.5 + (pixel_offset - 0.5) * share
+        });
+        Self { camera: camera.resized(small), offset, pixels, mask }
     }
 
     /// The camera of the pixels that are kept.
     #[must_use]
-    pub fn camera(&self) -> &Camera {
+    pub(crate) fn camera(&self) -> &Camera {
         &self.camera
     }
 
@@ -53,19 +58,21 @@ impl Photograph {
     #[must_use]
     pub fn color(&self, x: DVec3) -> Option<[f32; 3]> {
         let (at, _) = self.camera.project_inside(x)?;
-        if self.mask.as_ref().is_some_and(|mask| !mask.keeps(at[0] as u32, at[1] as u32)) {
-            return None;
-        }
         let [width, height] = self.camera.resolution;
-        let cell = |v: f64, n: u32| {
-            let v = (v - self.pixel_offset).clamp(0.0, f64::from(n - 1));
+        let cell = |k: usize, n: u32| {
+            let v = (at[k] - self.offset[k]).clamp(0.0, f64::from(n - 1));
             let low = (v as u32).min(n.saturating_sub(2));
             (low as usize, (low + 1).min(n - 1) as usize, (v - f64::from(low)) as f32)
         };
-        let (left, right, u) = cell(at[0], width);
-        let (top, bottom, v) = cell(at[1], height);
-        let pixel = |x: usize, y: usize| self.pixels[y * width as usize + x].map(|v| f32::from(v) / 255.0);
-        let [a, b, c, d] = [pixel(left, top), pixel(right, top), pixel(left, bottom), pixel(right, bottom)];
+        let (left, right, u) = cell(0, width);
+        let (top, bottom, v) = cell(1, height);
+        let places = [(left, top), (right, top), (left, bottom), (right, bottom)];
+        let is_kept = |mask: &Mask| places.iter().all(|&(x, y)| mask.keeps(x as u32, y as u32));
+        if !self.mask.as_ref().is_none_or(is_kept) {
+            return None;
+        }
+        let pixel = |(x, y): (usize, usize)| self.pixels[y * width as usize + x].map(|v| f32::from(v) / 255.0);
+        let [a, b, c, d] = places.map(pixel);
         Some(std::array::from_fn(|k| {
             let (upper, lower) = (a[k] + u * (b[k] - a[k]), c[k] + u * (d[k] - c[k]));
             upper + v * (lower - upper)

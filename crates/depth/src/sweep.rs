@@ -75,7 +75,7 @@ impl<'a> Sweep<'a> {
         let point = rays[0].at(depth);
         let towards = (camera.position - point).normalize();
         let angle = |i: usize| (self.photographs[i].camera().position - point).normalize().dot(towards);
-        let mut seeing: Vec<(f64, usize)> = self.views.indices_seeing(point).map(|i| (angle(i), i)).collect();
+        let mut seeing: Vec<(f64, usize)> = self.views.seeing(point).map(|(i, _)| (angle(i), i)).collect();
         seeing.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         seeing.truncate(IMAGES);
         let step = Self::STEP * depth;

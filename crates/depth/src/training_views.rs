@@ -94,6 +94,12 @@ impl TrainingViews {
         self.views.len()
     }
 
+    /// A camera, with the pixels of its depth.
+    #[must_use]
+    pub fn camera(&self, i: usize) -> &Camera {
+        &self.views[i].camera
+    }
+
     /// Whether there are no cameras.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -114,31 +120,28 @@ impl TrainingViews {
         points.map(|(pixel, x)| pixel.opacity > 0.0 && self.confirm(x)).collect()
     }
 
-    /// The cameras that see the point `x`, and whether they see a surface there.
-    pub fn seeing(&self, x: DVec3) -> impl Iterator<Item = (&Camera, bool)> {
-        self.views.iter().filter_map(move |view| {
-            let (before_surface, slack) = view.before_surface(x)?;
-            let slack = slack + self.slack;
-            (before_surface >= -slack).then_some((&view.camera, before_surface.abs() <= SAME_SURFACE * slack))
-        })
-    }
-
-    /// The indices of the cameras that see the point `x`.
-    pub(crate) fn indices_seeing(&self, x: DVec3) -> impl Iterator<Item = usize> {
+    /// The indices of the cameras that see the point `x`, and whether they see a surface there.
+    pub fn seeing(&self, x: DVec3) -> impl Iterator<Item = (usize, bool)> {
         self.views.iter().enumerate().filter_map(move |(i, view)| {
             let (before_surface, slack) = view.before_surface(x)?;
-            (before_surface >= -(slack + self.slack)).then_some(i)
+            let slack = slack + self.slack;
+            (before_surface >= -slack).then_some((i, before_surface.abs() <= SAME_SURFACE * slack))
         })
     }
 
     /// How the cameras see the point `x`.
     #[must_use]
     pub fn sighting(&self, x: DVec3) -> Sighting {
-        let count = |found: Sighting, (_, agrees)| Sighting {
+        self.sighting_but(x, None)
+    }
+
+    /// The same without one of the cameras.
+    pub(crate) fn sighting_but(&self, x: DVec3, without: Option<usize>) -> Sighting {
+        let count = |found: Sighting, (_, agrees): (usize, bool)| Sighting {
             views: found.views + 1,
             agreeing: found.agreeing + usize::from(agrees),
         };
-        self.seeing(x).fold(Sighting { views: 0, agreeing: 0 }, count)
+        self.seeing(x).filter(|(i, _)| Some(*i) != without).fold(Sighting { views: 0, agreeing: 0 }, count)
     }
 }
 

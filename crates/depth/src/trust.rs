@@ -31,33 +31,32 @@ impl Trust {
         }
     }
 
-    /// The trust in what cameras see so. `own` says whether the view is that of one of them, which always sees its own
-    /// surface.
-    fn of(Sighting { views, agreeing }: Sighting, own: bool) -> Self {
-        let others = views.saturating_sub(usize::from(own));
-        let others_agreeing = agreeing.saturating_sub(usize::from(own));
-        if others == 0 {
+    /// The trust in what other cameras see so. `is_own` says whether the view is that of a training camera, too, which
+    /// sees its own surface.
+    fn of(Sighting { views, agreeing }: Sighting, is_own: bool) -> Self {
+        if views == 0 {
             Self::NeverSeen
-        } else if 2 * others_agreeing < others {
+        } else if 2 * agreeing < views {
             Self::InFront
-        } else if agreeing < CONFIRMING_VIEWS {
+        } else if agreeing + usize::from(is_own) < CONFIRMING_VIEWS {
             Self::NoAgreement
         } else {
             Self::Trusted
         }
     }
 
-    /// `[height · width]`: the trust in the median depth of every pixel of a view; `own` if a training camera has it.
+    /// `[height · width]`: the trust in the median depth of every pixel of a view: that of the training camera
+    /// `own`, or another.
     #[must_use]
     pub fn of_view(
         training: &TrainingViews,
         camera: &Camera,
         pixel_offset: f64,
         view: &RenderedView,
-        own: bool,
+        own: Option<usize>,
     ) -> Vec<Self> {
         let of = |(pixel, x): (&octobayes::render::Pixel, glam::DVec3)| {
-            if pixel.opacity > 0.5 { Self::of(training.sighting(x), own) } else { Self::Transparent }
+            if pixel.opacity > 0.5 { Self::of(training.sighting_but(x, own), own.is_some()) } else { Self::Transparent }
         };
         view.median_points(camera, pixel_offset).map(of).collect()
     }
@@ -71,15 +70,12 @@ mod tests {
     fn the_first_reason_counts_and_the_own_view_does_not() {
         let of = |views, agreeing, own| Trust::of(Sighting { views, agreeing }, own);
         assert_eq!(of(0, 0, false), Trust::NeverSeen);
-        assert_eq!((of(1, 1, true), of(1, 1, false)), (Trust::NeverSeen, Trust::NoAgreement));
+        assert_eq!((of(1, 1, true), of(2, 2, true)), (Trust::NoAgreement, Trust::Trusted));
         assert_eq!(
-            (of(4, 1, false), of(4, 2, false), of(4, 2, true)),
-            (Trust::InFront, Trust::NoAgreement, Trust::InFront)
+            (of(4, 1, true), of(4, 2, true), of(4, 2, false)),
+            (Trust::InFront, Trust::Trusted, Trust::NoAgreement)
         );
-        assert_eq!(
-            (of(3, 3, true), of(6, 3, false), of(2, 2, true)),
-            (Trust::Trusted, Trust::Trusted, Trust::NoAgreement)
-        );
+        assert_eq!((of(6, 3, false), of(2, 2, false)), (Trust::Trusted, Trust::NoAgreement));
         let mut greys = Trust::ALL.map(Trust::grey);
         greys.sort_unstable();
         greys.windows(2).for_each(|pair| assert!(pair[0] < pair[1]));

@@ -26,7 +26,7 @@ use octobayes_data::{DepthKind, Frame, Selection};
 use octobayes_show::export::write_depth_points;
 
 pub use self::scene::{Look, SceneOptions};
-pub use self::unit::{Unit, UnitOptions};
+pub use self::unit::{Unit, UnitOptions, figure};
 
 /// Longest side of the maps unless --stride says otherwise, pixels.
 const SIDE: u32 = 640;
@@ -35,7 +35,8 @@ const SIDE: u32 = 640;
 ///
 /// Looks at the model through the training cameras. For each photograph NAME it writes into DIR
 ///
-///   NAME.depth.png  depth, distance from the camera: 16 bits, in millimetres (or --unit); 0 where nothing is shown
+///   NAME.depth.png  depth, distance from the camera: 16 bits, in millimetres (or --unit); 0 where nothing is shown, 65535
+///                   where it is farther and not trusted
 ///   NAME.sigma.png  its standard deviation, the same unit; 65535 is that or more. Within 1.64 of them lie 90 % of the
 ///                   errors
 ///   NAME.trust.png  255 trusted; 192 fewer than three cameras see a surface there; 128 most cameras that see the place
@@ -101,7 +102,7 @@ pub struct Args {
         long,
         value_name = "N",
         default_value_t = 1_000_000,
-        value_parser = count::<u64>(1..=MAX_KEPT_COUNT),
+        value_parser = count::<u64>(2..=MAX_KEPT_COUNT),
         help_heading = heading::OUTPUT,
         hide_short_help = true,
     )]
@@ -115,6 +116,9 @@ pub struct Args {
     #[arg(long, help_heading = heading::OUTPUT)]
     json: bool,
 }
+
+/// Deviations within which nine of ten errors lie, if they are normal.
+pub const NINETY: f64 = 1.645;
 
 /// Results of all photographs together.
 const OF_ALL: [&str; 3] = ["quality.csv", "points.ply", "report.html"];
@@ -132,10 +136,19 @@ impl Args {
         std::fs::create_dir_all(&self.output).map_err(Error::io(&self.output, "cannot create the folder"))?;
         let field = self.output.join(FIELD);
         let save = self.field.is_none().then_some(&field);
-        let written = read.outputs("--output", save).outputs("--output", OF_ALL.map(|name| self.output.join(name)));
-        let scene = self.scene.open(&self.model, self.field.as_deref(), &written, save.map(PathBuf::as_path), bars)?;
-        let chosen = self.chosen(scene.frames())?;
-        let stems = self.stems(scene.frames(), &chosen, &written)?;
+        let checkpoint = save.map(|path| path.with_extension("checkpoint"));
+        let written = read
+            .outputs("--output", save)
+            .outputs("--output", checkpoint)
+            .outputs("--output", OF_ALL.map(|name| self.output.join(name)));
+        let (mut chosen, mut stems) = (Vec::new(), Vec::new());
+        let check = |frames: &[Frame], files: CommandFiles| {
+            chosen = self.chosen(frames)?;
+            stems = self.stems(frames, &chosen);
+            self.check_maps(&stems, files)
+        };
+        let save = save.map(PathBuf::as_path);
+        let scene = self.scene.open(&self.model, self.field.as_deref(), &written, check, save, bars)?;
         let pixels =
             chosen.iter().map(|&i| scene.frames()[i].camera.strided(self.stride(&scene.frames()[i]), 0.5).pixels());
         let pixels: u64 = pixels.sum();
@@ -206,25 +219,32 @@ impl Args {
         }
     }
 
-    /// The path of each photograph's maps without what ends their names, all of which can be written.
-    fn stems(&self, frames: &[Frame], chosen: &[usize], written: &CommandFiles) -> Result<Vec<PathBuf>> {
+    /// The path of each photograph's maps without what ends their names.
+    fn stems(&self, frames: &[Frame], chosen: &[usize]) -> Vec<PathBuf> {
         let short = |frame: &Frame| {
             let name = frame.name.replace('\\', "/");
             let name = name.rsplit('/').next().unwrap_or_default().to_string();
             let stem = Path::new(&name).file_stem().map_or(name.clone(), |stem| stem.to_string_lossy().into_owned());
             if stem.is_empty() || stem.starts_with('.') { format!("frame{stem}") } else { stem }
         };
-        let names: Vec<String> = chosen.iter().map(|&i| short(&frames[i])).collect();
-        let distinct: HashSet<&String> = names.iter().collect();
-        // Photographs of several folders may have one name.
+        let names: Vec<String> = frames.iter().map(short).collect();
+        // Photographs of several folders may have one name, and disks may not tell capitals apart.
+        let distinct: HashSet<String> = names.iter().map(|name| name.to_lowercase()).collect();
         let is_unique = distinct.len() == names.len();
-        let stem = |(&i, name): (&usize, &String)| {
-            self.output.join(if is_unique { name.clone() } else { format!("{i:04}_{name}") })
-        };
-        let stems: Vec<PathBuf> = chosen.iter().zip(&names).map(stem).collect();
-        let maps = stems.iter().flat_map(|stem| files(stem, self.exr));
-        written.clone().outputs("--output", maps).check()?;
-        Ok(stems)
+        let stem =
+            |&i: &usize| self.output.join(if is_unique { names[i].clone() } else { format!("{i:04}_{}", names[i]) });
+        chosen.iter().map(stem).collect()
+    }
+
+    /// Checks that all maps can be written, and that none replaces a file of another program.
+    fn check_maps(&self, stems: &[PathBuf], written: CommandFiles) -> Result<()> {
+        let maps: Vec<PathBuf> = stems.iter().flat_map(|stem| files(stem, self.exr)).collect();
+        let is_own = self.output.join(OF_ALL[0]).exists() || self.output.join(OF_ALL[2]).exists();
+        if let Some(path) = maps.iter().find(|path| path.exists() && !is_own) {
+            let expected = "a folder without maps of other programs, which those of `depth` would replace";
+            return Err(Error::setting("--output", expected, path.display().to_string()));
+        }
+        written.outputs("--output", maps).check()
     }
 
     fn stride(&self, frame: &Frame) -> u32 {

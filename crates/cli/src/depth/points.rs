@@ -1,7 +1,7 @@
 //! Trusted points of all photographs.
 
 use glam::Vec3;
-use octobayes_depth::Trust;
+use octobayes_depth::{JUMP, Trust};
 use octobayes_show::export::DepthPoint;
 
 use super::view::DepthView;
@@ -69,6 +69,9 @@ fn normal(view: &DepthView, i: usize, offset: f64) -> Vec3 {
         (view.trust[j] == Trust::Trusted).then(|| ray.at(view.rendered.pixels[j].median_depth))
     };
     let Some(here) = at(x, y) else { return Vec3::ZERO };
+    // What lies beyond a jump is another surface.
+    let far = JUMP * view.rendered.pixels[i].median_depth;
+    let beside = |x: usize, y: usize| at(x, y).filter(|other| other.distance(here) <= far);
     // Both sides where they are there, so that noise of one pixel counts less.
     let along = |before: Option<glam::DVec3>, after: Option<glam::DVec3>| match (before, after) {
         (Some(before), Some(after)) => Some(after - before),
@@ -76,8 +79,8 @@ fn normal(view: &DepthView, i: usize, offset: f64) -> Vec3 {
         (None, Some(after)) => Some(after - here),
         (None, None) => None,
     };
-    let right = along(x.checked_sub(1).and_then(|x| at(x, y)), (x + 1 < width).then(|| at(x + 1, y)).flatten());
-    let down = along(y.checked_sub(1).and_then(|y| at(x, y)), (y + 1 < height).then(|| at(x, y + 1)).flatten());
+    let right = along(x.checked_sub(1).and_then(|x| beside(x, y)), (x + 1 < width).then(|| beside(x + 1, y)).flatten());
+    let down = along(y.checked_sub(1).and_then(|y| beside(x, y)), (y + 1 < height).then(|| beside(x, y + 1)).flatten());
     let Some((right, down)) = right.zip(down) else { return Vec3::ZERO };
     let normal = down.cross(right).normalize_or_zero();
     let towards = view.camera.position - here;

@@ -18,6 +18,7 @@ use octobayes_data::{Frame, Part, Views};
 use octobayes_depth::{DepthDeviation, LEVEL, Photograph, Surveyor, Sweep, TrainingViews};
 use octobayes_evaluation::check_images;
 use octobayes_session::{Choices, OpenedModel, ScaleKind, Session, image_settings};
+use rayon::prelude::*;
 
 /// Rays of a field that is computed: more change deviations by less than their own error (`experiments/depth.md`).
 const RAYS: u64 = 500_000;
@@ -48,6 +49,10 @@ pub struct SceneOptions {
     /// Do not use the images beside the cameras: deviations then follow from the field alone
     #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
     no_images: bool,
+
+    /// Start the field over, and discard the state of a run that was interrupted
+    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
+    restart: bool,
 }
 
 /// A model, its field, and the cameras of its training.
@@ -72,33 +77,44 @@ pub struct Look<'a> {
 }
 
 impl SceneOptions {
-    /// The files that are read. Refuses a noise beside a field.
+    /// The files that are read. Refuses options of a run beside a field.
     pub fn files(&mut self, model: &str, field: Option<&Path>) -> Result<CommandFiles> {
         self.cameras.find(Part::Training);
-        if field.is_some() && self.noise.is_some() {
-            return Err(Error::setting("--noise", "none beside FIELD, which was computed with one", "one"));
+        let given = [
+            ("--noise", self.noise.is_some()),
+            ("--background", self.training.background.is_some()),
+            ("--splat-mode", self.training.splat_mode.is_some()),
+            ("--restart", self.restart),
+        ];
+        if let Some((option, _)) = given.iter().find(|(_, is_given)| *is_given && field.is_some()) {
+            return Err(Error::setting(*option, "none beside FIELD, which is computed already", "one"));
         }
         let files = CommandFiles::default().input("MODEL", model).inputs("FIELD", field);
         Ok(files.cameras(self.cameras.cameras.as_deref()))
     }
 
-    /// Opens the model, and reads its field or computes it. `files` are those of the command; `save` is where a field
-    /// that was computed goes.
+    /// Opens the model, and reads its field or computes it. `files` are those of the command; `check` is called before
+    /// any work with the training frames, and with the files and the frames' images. `save` is where a field that was
+    /// computed goes.
     pub fn open(
         &self,
         model: &str,
         field: Option<&Path>,
         files: &CommandFiles,
+        check: impl FnOnce(&[Frame], CommandFiles) -> Result<()>,
         save: Option<&Path>,
         bars: &Bars,
     ) -> Result<Scene> {
         let known = field.map(open_field).transpose()?;
+        if let Some(known) = &known {
+            DepthDeviation::new(&BakedField::unbaked(known), None)?;
+        }
         let opened = match known.as_ref().zip(field) {
             Some((known, path)) => OpenedModel::of_field(known, path, model, self.training.force, &mut tell)?,
             None => OpenedModel::for_cameras(model, self.cameras.cameras.is_some(), self.training.splat_mode)?,
         };
         let cameras = self.cameras.training(&self.frames, Some(&*opened.model), model)?;
-        files.clone().images(&cameras.views).check()?;
+        check(&cameras.views.frames, files.clone().images(&cameras.views))?;
         let views = cameras.views;
         let field = match known {
             Some(known) => known,
@@ -132,7 +148,7 @@ impl SceneOptions {
             .background(self.training.background)
             .model_file(Some(PathBuf::from(&opened.name)))
             .choices(choices)
-            .checkpoint(save.map(|path| Checkpoint::new(path.with_extension("checkpoint"))))
+            .checkpoint(save.map(|path| Checkpoint::new(path.with_extension("checkpoint")).restart(self.restart)))
             .force(self.training.force)
             .has_chosen_coordinates(opened.coordinates.is_some() && self.cameras.cameras.is_some())
             .has_given_fov(self.cameras.fov.is_some());
@@ -206,13 +222,13 @@ impl Scene {
             return Ok(None);
         }
         bars.begin("training images", frames.len() as u64);
-        let read = |frame: &Frame| {
+        let read = |frame: &Frame| -> Result<Photograph> {
             octobayes::monitor::check(bars)?;
             let photograph = Photograph::read(frame, renderer.background(), pixel_offset)?;
             bars.advance(1);
             Ok(photograph)
         };
-        let photographs = frames.iter().map(read).collect::<Result<_>>()?;
+        let photographs = frames.par_iter().map(read).collect::<Result<_>>()?;
         bars.end();
         Ok(Some(photographs))
     }

@@ -6,8 +6,11 @@ use octobayes::io::AtomicFile;
 use octobayes::{Error, Result};
 use octobayes_depth::Trust;
 
-use super::Unit;
 use super::view::{MapSettings, Quality};
+use super::{Unit, figure};
+
+/// Where less of the surfaces is trusted, something is wrong. Models of few photographs on one side had a half.
+const FEW: f64 = 0.1;
 
 /// The share of a reason, of the pixels that show a surface; `None` if there is none.
 pub fn share_of_surface(quality: &Quality, trust: Trust) -> Option<f64> {
@@ -26,14 +29,16 @@ pub fn write_quality(path: &Path, rows: &[Quality], settings: &MapSettings) -> R
     table.write_record(head.collect::<Vec<String>>()).map_err(failed)?;
     for row in rows {
         let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.6}"));
+        // Lengths may be of any size.
+        let of_length = |value: Option<f64>| value.map_or(String::new(), |value| figure(value, 1e-3 * value));
         let of = [Trust::Trusted, Trust::NeverSeen, Trust::InFront, Trust::NoAgreement];
         let shares = of.map(|trust| number(share_of_surface(row, trust)));
         let cells = [
             row.name.clone(),
             row.pixels.to_string(),
-            number(row.depth),
-            number(row.sigma.map(|sigma| sigma[0])),
-            number(row.sigma.map(|sigma| sigma[1])),
+            of_length(row.depth),
+            of_length(row.sigma.map(|sigma| sigma[0])),
+            of_length(row.sigma.map(|sigma| sigma[1])),
         ];
         let transparent = number(Some(row.shares[Trust::Transparent as usize]));
         table.write_record(cells.into_iter().chain(shares).chain([transparent])).map_err(failed)?;
@@ -59,10 +64,19 @@ pub fn announce_summary(rows: &[Quality], unit: Unit) {
     let percent = |trust: Trust| format!("{:.1} % {trust}", 100.0 * shares[trust as usize]);
     let why = [Trust::NeverSeen, Trust::InFront, Trust::NoAgreement].map(percent);
     announce!("note: of what photographs show, {}; {}", percent(Trust::Trusted), why.join(", "));
+    if shares[Trust::Trusted as usize] < FEW {
+        announce!(
+            "warning: training cameras hardly ever agree on a surface; likely causes: a model that shows its images \
+             poorly, cameras of another scene or with other axes, or very few photographs"
+        );
+    }
     let mut medians: Vec<f64> = rows.iter().filter_map(|row| Some(row.sigma?[0])).collect();
     medians.sort_unstable_by(f64::total_cmp);
     if !medians.is_empty() {
         let median = octobayes::metrics::quantile(&medians, 0.5);
-        announce!("note: where depth can be trusted, its deviation is {median:.2e} {} (median)", unit.name());
+        announce!(
+            "note: where depth can be trusted, its deviation is {median:.2e} {} (in the median photograph)",
+            unit.name()
+        );
     }
 }

@@ -38,7 +38,12 @@ impl UnitOptions {
         if let Some(factor) = self.metres_per_unit {
             return Ok(Unit { factor, is_known: true });
         }
-        let [a, b, metres] = &self.known[..] else { return Ok(Unit { factor: 1.0, is_known: false }) };
+        if self.known.is_empty() {
+            return Ok(Unit { factor: 1.0, is_known: false });
+        }
+        let [a, b, metres] = &self.known[..] else {
+            return Err(Error::setting("--known", "two points and their distance, once", "more"));
+        };
         let wrong = |what: &str, text: &str, found: String| Error::setting(format!("--known {what}"), text, found);
         let point = |what: &str, text: &str| {
             numbers::<3>(text.trim())
@@ -59,4 +64,23 @@ impl Unit {
     pub fn name(self) -> &'static str {
         if self.is_known { "m" } else { "scene units" }
     }
+
+    /// A length given in scene units, with two digits and the unit's name.
+    pub fn length(self, value: f64) -> String {
+        let value = self.factor * value;
+        format!("{} {}", figure(value, value), self.name())
+    }
+
+    /// A point given in scene units, to a thousandth of its largest coordinate.
+    pub fn place(self, x: DVec3) -> String {
+        let x = self.factor * x;
+        let [x, y, z] = x.to_array().map(|v| figure(v, 0.1 * x.abs().max_element()));
+        format!("{x},{y},{z}")
+    }
+}
+
+/// A number to two digits of what is `uncertain` of it.
+pub fn figure(value: f64, uncertain: f64) -> String {
+    let digits = if uncertain > 0.0 { (1.0 - uncertain.log10().floor()).clamp(0.0, 9.0) as usize } else { 3 };
+    format!("{value:.digits$}")
 }

@@ -36,11 +36,19 @@ pub struct Quality {
     /// Pixels of its maps.
     pub pixels: usize,
     /// Shares of the pixels, in the order of [`Trust`].
+    #[serde(serialize_with = "by_name")]
     pub shares: [f64; Trust::ALL.len()],
     /// Median and 95 % quantile of σ over the trusted pixels; `None` if there is none.
     pub sigma: Option<[f64; 2]>,
     /// Median depth of the trusted pixels.
     pub depth: Option<f64>,
+}
+
+fn by_name<S: serde::Serializer>(
+    shares: &[f64; Trust::ALL.len()],
+    serializer: S,
+) -> std::result::Result<S::Ok, S::Error> {
+    serializer.collect_map(Trust::ALL.iter().map(|trust| trust.name()).zip(shares))
 }
 
 /// How maps are written.
@@ -64,7 +72,7 @@ impl DepthView {
         let rendered = surveyor.renderer.strided_image(&frame.camera, stride, offset, &[], &[], look.bars)?;
         let camera = frame.camera.strided(stride, offset);
         let sigma = surveyor.deviation.of_view(surveyor.renderer, &camera, offset, &rendered, look.bars)?;
-        let trust = Trust::of_view(surveyor.training, &camera, offset, &rendered, true);
+        let trust = Trust::of_view(surveyor.training, &camera, offset, &rendered, Some(i));
         Ok(Self { name: frame.name.clone(), camera, rendered, sigma, trust })
     }
 
@@ -116,7 +124,9 @@ impl DepthView {
         let found: Vec<Option<[f64; 2]>> =
             (0..self.trust.len()).map(|i| self.depth(i, pixel_offset, settings)).collect();
         let most = f64::from(u16::MAX);
-        let farthest = found.iter().flatten().fold(0.0_f64, |most, pair| most.max(pair[0]));
+        // What cannot be trusted may lie anywhere: its depth is the largest number, or less.
+        let trusted = found.iter().zip(&self.trust).filter(|(_, trust)| **trust == Trust::Trusted);
+        let farthest = trusted.filter_map(|(pair, _)| *pair).fold(0.0_f64, |most, pair| most.max(pair[0]));
         if farthest / settings.step > most {
             let least = 10_f64.powf((farthest / most).log10().ceil());
             let name = octobayes::error::printable(&self.name);
@@ -125,9 +135,12 @@ impl DepthView {
                 format!("{}: 16 bits end at {:.4}, depths at {farthest:.4}", settings.step, most * settings.step);
             return Err(Error::setting("--unit", expected, found));
         }
-        // No depth is 0. A deviation that has no place is the largest number, which says no less of it.
+        // No depth is 0. A deviation that has no place, or is not known, is the largest number.
         let map = |k: usize| -> Vec<u16> {
-            let steps = |pair: &[f64; 2]| (pair[k] / settings.step).round().clamp(1.0, most) as u16;
+            let steps = |pair: &[f64; 2]| {
+                let steps = (pair[k] / settings.step).round();
+                if steps.is_nan() { u16::MAX } else { steps.clamp(1.0, most) as u16 }
+            };
             found.iter().map(|pair| pair.as_ref().map_or(0, steps)).collect()
         };
         write_grey16(&named(stem, "depth.png"), size, &map(0))?;

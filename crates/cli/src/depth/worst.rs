@@ -6,13 +6,13 @@ use colorous::CIVIDIS;
 use glam::DVec3;
 use image::{Rgb, RgbImage};
 use octobayes::Result;
+use octobayes::error::counted;
 use octobayes_depth::Trust;
 use octobayes_show::depth_page::{DepthPage, Place};
 
 use super::summary::{share_of_surface, shares};
 use super::view::{DepthView, Quality};
-use super::{Look, Unit};
-use crate::measure::NINETY;
+use super::{Look, NINETY, Unit};
 
 /// Places that are shown, each of another photograph.
 const PLACES: usize = 4;
@@ -67,12 +67,11 @@ impl Page {
         let width = view.rendered.resolution[0] as usize;
         let [x, y] = [middle % width, middle / width].map(|n| n as f64 + offset);
         let position = view.camera.ray(x, y).at(view.rendered.pixels[middle].median_depth);
-        let seeing: Vec<DVec3> = look
-            .surveyor
-            .training
+        let training = look.surveyor.training;
+        let seeing: Vec<DVec3> = training
             .seeing(position)
             .filter(|(_, agrees)| *agrees)
-            .map(|(camera, _)| (camera.position - position).normalize())
+            .map(|(i, _)| (training.camera(i).position - position).normalize())
             .collect();
         let pairs = seeing.iter().enumerate().flat_map(|(k, a)| seeing[k + 1..].iter().map(move |b| a.dot(*b)));
         let apart = pairs.fold(1.0_f64, f64::min).clamp(-1.0, 1.0).acos().to_degrees();
@@ -89,14 +88,14 @@ impl Page {
         let mut lead = Vec::new();
         if let Some(shares) = shares {
             lead.push(format!(
-                "Of what {} photographs show, {:.0} % has a depth that three or more of them agree on. The rest cannot \
-                 be trusted, whatever its deviation says.",
-                rows.len(),
+                "Of the surfaces in {}, {:.0} % have a depth on which three or more training cameras agree. The rest \
+                 cannot be trusted, whatever their deviation says.",
+                counted(rows.len(), "photograph"),
                 100.0 * shares[Trust::Trusted as usize]
             ));
         }
         if let Some(median) = self.quantile(0.5).zip(self.quantile(0.95)) {
-            let [half, most] = [median.0, median.1].map(|v| length(NINETY * unit.factor * v, unit));
+            let [half, most] = [median.0, median.1].map(|v| unit.length(NINETY * v));
             lead.push(format!(
                 "Of the trusted depths, half are within ± {half}, and 95 % within ± {most}, with a probability of 90 %."
             ));
@@ -112,7 +111,7 @@ impl Page {
         let row = |row: &Quality| -> Vec<String> {
             let of = [Trust::Trusted, Trust::NeverSeen, Trust::InFront, Trust::NoAgreement];
             let percent = |share: Option<f64>| share.map_or(String::new(), |share| format!("{:.1} %", 100.0 * share));
-            let sigma = |k: usize| row.sigma.map_or(String::new(), |sigma| length(sigma[k], unit));
+            let sigma = |k: usize| row.sigma.map_or(String::new(), |sigma| unit.length(sigma[k] / unit.factor));
             let shares = of.map(|trust| percent(share_of_surface(row, trust)));
             [row.name.clone()].into_iter().chain(shares).chain([sigma(0), sigma(1)]).collect()
         };
@@ -121,8 +120,8 @@ impl Page {
                 "{}: around {}, depths are uncertain by ± {} (90 %). {} photographs see the place, from directions at \
                  most {:.0}° apart.",
                 worst.name,
-                place(worst.position),
-                length(NINETY * unit.factor * worst.sigma, unit),
+                unit.place(worst.position),
+                unit.length(NINETY * worst.sigma),
                 worst.views,
                 worst.apart
             ),
@@ -131,7 +130,7 @@ impl Page {
         let used: Vec<usize> = (0..self.histogram.len()).filter(|&k| self.histogram[k] > 0).collect();
         let range = used.first().copied().unwrap_or(0)..used.last().map_or(0, |last| last + 1);
         let page = DepthPage {
-            title,
+            title: title.rsplit(['/', '\\']).next().unwrap_or(title),
             lead,
             shares: shares.map_or(Vec::new(), |shares| {
                 let named = Trust::ALL.iter().zip(shares).zip(COLORS).skip(1).rev();
@@ -159,9 +158,10 @@ impl Page {
         } else {
             String::new()
         };
+        let unit = self.unit;
         Some(format!(
             "To photograph next: the place around {} in {}, {side}.{more} The verb next-view chooses among cameras.",
-            place(worst.position),
+            unit.place(worst.position),
             worst.name
         ))
     }
@@ -236,16 +236,4 @@ fn pictures(view: &DepthView, middle: usize, look: &Look) -> Vec<RgbImage> {
         }
     };
     vec![RgbImage::from_fn(size[0], size[1], color), RgbImage::from_fn(size[0], size[1], sigma)]
-}
-
-/// A length with two digits.
-fn length(value: f64, unit: Unit) -> String {
-    let digits = (1.0 - value.log10().floor()).clamp(0.0, 9.0) as usize;
-    format!("{value:.digits$} {}", unit.name())
-}
-
-/// A point in scene units.
-fn place(x: DVec3) -> String {
-    let [x, y, z] = x.to_array().map(|v| format!("{v:.2}"));
-    format!("({x}, {y}, {z})")
 }

@@ -122,8 +122,9 @@ fn is_negative(word: &str) -> bool {
 /// it.
 pub fn with_points(words: impl Iterator<Item = OsString>) -> impl Iterator<Item = OsString> {
     let mut takes_points = false;
-    words.map(move |word| {
-        takes_points |= word == "query" || word == "measure";
+    words.enumerate().map(move |(i, word)| {
+        // The verb, which only `--threads N` may precede.
+        takes_points |= i <= 3 && (word == "query" || word == "measure");
         let begins_so = takes_points && word.to_str().is_some_and(is_negative);
         if begins_so { [OsStr::new(" "), &word].into_iter().collect() } else { word }
     })

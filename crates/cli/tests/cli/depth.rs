@@ -61,7 +61,7 @@ fn rows(text: &str) -> Vec<BTreeMap<String, String>> {
 fn maps_hold_the_true_depth_its_deviation_and_why_it_is_not_trusted() {
     let desk = desk();
     let said = desk.said(&format!("depth {SCENE} -o out --exr"));
-    assert!(said.contains("% trusted") && said.contains("scene units (median)"), "{said}");
+    assert!(said.contains("% trusted") && said.contains("scene units (in the median"), "{said}");
     assert!(!said.contains("field alone"), "the images are there: {said}");
     let camera = |i: u32| {
         let azimuth = 0.35 * (f64::from(i) - 2.5);
@@ -108,7 +108,7 @@ fn maps_hold_the_true_depth_its_deviation_and_why_it_is_not_trusted() {
     let never = |i: usize| table[i]["trusted"].parse::<f64>().unwrap();
     assert!(never(0) < never(2) && never(5) < never(3), "{table:?}");
     let page = desk.text("out/report.html");
-    assert!(page.contains("three or more of them agree") && page.contains("<svg") && !page.contains("http"));
+    assert!(page.contains("three or more training cameras agree") && page.contains("<svg") && !page.contains("http"));
     assert!(page.contains("p_0.png") && page.contains("data:image/jpeg;base64,"));
 }
 
@@ -174,6 +174,12 @@ fn units_scale_lengths_and_an_overflow_is_refused() {
     assert!(error.contains("numbers from 0 to 5, of 6 training cameras"), "{error}");
     let known = "depth scene:ball a/field.oct --cameras cameras.json -o e --known 0,0,0 0,0,0 1";
     desk.refused(known, &["--known B", "another point than A"]);
+    let twice = "depth scene:ball a/field.oct --cameras cameras.json -o e --known 0,0,0 1,0,0 1 --known 0,0,0 1,0,0 1";
+    desk.refused(twice, &["--known", "once"]);
+    // Maps of another program are not replaced.
+    std::fs::create_dir(desk.join("f")).unwrap();
+    desk.write("f/p_0.depth.png", "mine");
+    desk.refused("depth scene:ball a/field.oct --cameras cameras.json -o f", &["maps of other programs"]);
 }
 
 #[test]
@@ -189,13 +195,14 @@ fn lengths_between_points_on_the_ball() {
     let number = |key: &str| found[key].as_f64().unwrap();
     let (length, sigma) = (number("length"), number("sigma"));
     assert!((length - 0.5).abs() < 0.05 && sigma > 1e-3 && sigma < 0.1, "{found}");
-    assert!((number("interval_90") / sigma - 1.645).abs() < 1e-9);
+    let interval = [0, 1].map(|k| found["interval_90"][k].as_f64().unwrap());
+    assert!((0.5 * (interval[1] - interval[0]) / sigma - 1.645).abs() < 1e-9 && interval[0] < length);
     assert!(found["points"][0]["trust"] == "trusted" && number("correlation").abs() < 0.2, "{found}");
     // One point twice: its own length is known, whatever its depth.
     let same = desk.json(&format!("{measure} 0.42,0.25,0.12 0.42,0.25,0.12 --cameras cameras.json"));
     assert!(same["length"].as_f64().unwrap() < 1e-9 && same["correlation"].as_f64().unwrap() > 0.999, "{same}");
     // In metres, from the field that it computes itself.
-    let metres = desk.json(&format!("measure {SCENE} {ends} --metres-per-unit 10"));
+    let metres = desk.json(&format!("measure {SCENE} 4.2,2.5,1.2 4.2,-2.5,1.2 --metres-per-unit 10"));
     assert!((metres["length"].as_f64().unwrap() / length - 10.0).abs() < 1e-6, "{metres}");
     assert_eq!(metres["unit"], "m");
     // In the air, behind the ball, and beside everything; with a minus in front.

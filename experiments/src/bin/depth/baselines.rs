@@ -62,7 +62,8 @@ impl Baselines<'_> {
             let x = self.tracer.marcher.bounds.clamp(ray.at(pixel.expected_depth).as_vec3());
             let reached = self.field.ray_coverage().and_then(|coverage| coverage.at(x)).unwrap_or(0);
             let (x, eye) = (x.as_dvec3(), truth.camera.position);
-            let angles = self.training.seeing(x).map(|(camera, _)| (eye - x).angle_between(camera.position - x));
+            let angles =
+                self.training.seeing(x).map(|(i, _)| (eye - x).angle_between(self.training.camera(i).position - x));
             [
                 entropy(weights, compositing.end_transmittance(&samples)),
                 1.0 - pixel.opacity,
