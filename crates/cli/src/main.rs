@@ -191,7 +191,8 @@ mod tests {
 
     /// An option of a verb with a value that it takes.
     fn given(verb: &str, option: &Arg) -> String {
-        const VALUES: [&str; 20] = [
+        const VALUES: [&str; 21] = [
+            "0,0,0,1,0,0,2",
             "1",
             "2",
             "8",

@@ -55,7 +55,7 @@ impl Args {
             let wrong = |found| Error::setting("point", "x,y,z, such as 1.2,0.3,2", found);
             numbers::<3>(text.trim()).map(DVec3::from).map_err(wrong)
         };
-        let unit = self.unit.unit()?;
+        let unit = self.unit.unit();
         let points = [point(points[0])? / unit.factor, point(points[1])? / unit.factor];
         let files = self.scene.files(&self.model, field.as_deref())?;
         files.check()?;

@@ -53,7 +53,7 @@ const SIDE: u32 = 640;
     after_help = "Examples:\n  \
     octobayes depth fox.safetensors -o depth\n  \
     octobayes depth scene.ply --cameras sparse/0 --metres-per-unit 0.35 -o depth\n  \
-    octobayes depth scene.ply depth/field.oct --cameras sparse/0 --known 0,0,0 1,0.2,0 1.5 -o metric"
+    octobayes depth scene.ply depth/field.oct --cameras sparse/0 --known 0,0,0,1,0.2,0,1.5 -o metric"
 )]
 pub struct Args {
     /// The trained model
@@ -128,7 +128,7 @@ const FIELD: &str = "field.oct";
 impl Args {
     /// Runs the verb.
     pub fn run(mut self, bars: &Bars) -> Result<()> {
-        let unit = self.unit.unit()?;
+        let unit = self.unit.unit();
         let kind = if self.z_depth { DepthKind::Z } else { DepthKind::Euclidean };
         let settings = MapSettings { unit, step: self.step, kind, exr: self.exr };
         let read = self.scene.files(&self.model, self.field.as_deref())?;

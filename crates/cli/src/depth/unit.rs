@@ -1,9 +1,7 @@
 //! The unit of lengths.
 
-use glam::DVec3;
-use octobayes::{Error, Result};
-
 use crate::options::{heading, numbers, parse_positive};
+use glam::DVec3;
 
 /// What a scene unit is.
 #[derive(clap::Args)]
@@ -18,9 +16,23 @@ pub struct UnitOptions {
     )]
     metres_per_unit: Option<f64>,
 
-    /// The same by two points, x,y,z in scene units, and their distance in metres
-    #[arg(long, num_args = 3, value_names = ["A", "B", "METRES"], allow_hyphen_values = true, help_heading = heading::INPUT)]
-    known: Vec<String>,
+    /// The same by two points in scene units and their distance in metres: x,y,z,x,y,z,METRES
+    #[arg(
+        long,
+        value_name = "A,B,METRES",
+        value_parser = parse_known,
+        allow_hyphen_values = true,
+        help_heading = heading::INPUT,
+    )]
+    known: Option<f64>,
+}
+
+/// Metres of a scene unit, from two points and their distance.
+fn parse_known(text: &str) -> Result<f64, String> {
+    let [x, y, z, u, v, w, metres] = numbers::<7>(text)?;
+    let distance = DVec3::new(x, y, z).distance(DVec3::new(u, v, w));
+    parse_positive(&(metres / distance).to_string())
+        .map_err(|_| "expected two different points and a distance above 0: x,y,z,x,y,z,METRES".into())
 }
 
 /// What a scene unit is.
@@ -34,28 +46,9 @@ pub struct Unit {
 
 impl UnitOptions {
     /// The unit that the options state.
-    pub fn unit(&self) -> Result<Unit> {
-        if let Some(factor) = self.metres_per_unit {
-            return Ok(Unit { factor, is_known: true });
-        }
-        if self.known.is_empty() {
-            return Ok(Unit { factor: 1.0, is_known: false });
-        }
-        let [a, b, metres] = &self.known[..] else {
-            return Err(Error::setting("--known", "two points and their distance, once", "more"));
-        };
-        let wrong = |what: &str, text: &str, found: String| Error::setting(format!("--known {what}"), text, found);
-        let point = |what: &str, text: &str| {
-            numbers::<3>(text.trim())
-                .map(DVec3::from)
-                .map_err(|found| wrong(what, "a point x,y,z in scene units", found))
-        };
-        let distance = point("A", a)?.distance(point("B", b)?);
-        let metres = parse_positive(metres).map_err(|found| wrong("METRES", "their distance in metres", found))?;
-        if distance == 0.0 {
-            return Err(wrong("B", "another point than A", b.clone()));
-        }
-        Ok(Unit { factor: metres / distance, is_known: true })
+    pub fn unit(&self) -> Unit {
+        let factor = self.metres_per_unit.or(self.known);
+        Unit { factor: factor.unwrap_or(1.0), is_known: factor.is_some() }
     }
 }
 
