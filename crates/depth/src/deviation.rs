@@ -11,8 +11,8 @@
 //! U′ = U (200 h / t)^(3/2) is U for cells as wide as 1/200 of the distance, about a pixel of the images on which the
 //! factors were fitted: a vertex gathers the rays of a volume, so that U is proportional to h^(−3/2). So σ depends
 //! neither on the level nor on the size of the box. The exponents of lengths add up to one, so that σ has the unit of the
-//! scene whatever that is. They were fitted by the likelihood of errors on two meshes, and hold on others and on
-//! photographs of a room (`experiments/depth.md`), where σ ranks errors better than √(Var + s²) does.
+//! scene whatever that is. They were fitted by the likelihood of errors on two meshes, and hold on others, where σ ranks
+//! errors better than √(Var + s²) does; on lego and a kitchen σ is too small (`experiments/depth.md`).
 
 use glam::{DMat3, DVec3, Vec3};
 use octobayes::geometry::Camera;
