@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::depth::{Look, NINETY, SceneOptions, Unit, UnitOptions, figure};
 use super::files::CommandFiles;
-use super::options::{heading, model_name, numbers};
+use super::options::{ModelArgument, heading, numbers};
 use super::progress::Bars;
 use octobayes::{Error, Result};
 use octobayes_depth::{Length, Snapped, SurfacePoint, Trust};
@@ -24,9 +24,8 @@ use octobayes_depth::{Length, Snapped, SurfacePoint, Trust};
     octobayes measure lego.safetensors depth/field.oct 0.1,0.3,0.2 -0.4,0.1,0.2\n  \
     octobayes measure scene.ply depth/field.oct 1.2,0.3,2 0.1,0.4,2.2 --cameras cameras.json --metres-per-unit 0.5")]
 pub struct Args {
-    /// The trained model
-    #[arg(value_name = "MODEL", value_parser = model_name())]
-    model: String,
+    #[command(flatten)]
+    model: ModelArgument,
 
     /// The field of `depth` (or of `uncertainty --for depth`; without it, it is computed first), and the points
     #[arg(value_names = ["[FIELD.oct] A", "B"], num_args = 2..=3, required = true)]
@@ -57,10 +56,10 @@ impl Args {
         };
         let unit = self.unit.unit();
         let points = [point(points[0])? / unit.factor, point(points[1])? / unit.factor];
-        let files = self.scene.files(&self.model, field.as_deref())?;
+        let files = self.scene.files(&self.model.model, field.as_deref())?;
         files.check()?;
         let check = |_: &[_], files: CommandFiles| files.check();
-        let scene = self.scene.open(&self.model, field.as_deref(), &files, check, None, bars)?;
+        let scene = self.scene.open(&self.model.model, field.as_deref(), &files, check, None, bars)?;
         // A picture of 31 pixels a side for a few views of each point.
         scene.look(20_000, bars, |look| self.measure(look, points, unit))
     }

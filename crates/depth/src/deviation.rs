@@ -1,16 +1,16 @@
 //! How far the depth of a pixel may be off: a standard deviation.
 //!
 //! Letters: s the spread of the ray's weights ([`RenderedView::spread`]); t the expected depth; U the uncertainty there,
-//! and h the edge of a cell of the finest level there (of a cube of its volume); b how far from the median depth the training images agree best
-//! ([`Sweep`]), with half a step for what a sweep cannot tell apart; e pixels to an edge of the depth map; k a factor
-//! of the kind of model.
+//! and h the edge of a cube that has the volume of a finest cell there; b how far from the median depth the training
+//! images agree best ([`Sweep`]), with half a step for what a sweep cannot tell apart; e pixels to an edge of the depth
+//! map; k a factor of the kind of model.
 //!
 //! - From the field alone: σ = k √(s U′).
 //! - With the training images: σ = k s^0.34 U′^0.48 b^0.18 (1 + e)^−0.09.
 //!
 //! U′ = U (200 h / t)^(3/2) is U for cells as wide as 1/200 of the distance, about a pixel of the images on which the
-//! factors were fitted: a vertex gathers the rays of a volume, so that U is proportional to h^(−3/2). So σ depends
-//! neither on the level nor on the size of the box. The exponents of lengths add up to one, so that σ has the unit of the
+//! factors were fitted: a vertex gathers the rays of a volume, so that U is proportional to h^(−3/2) where images determine
+//! it. There σ hardly depends on the level and on the size of the box. The exponents of lengths add up to one, so that σ has the unit of the
 //! scene whatever that is. They were fitted by the likelihood of errors on two meshes, and hold on others, where σ ranks
 //! errors better than √(Var + s²) does; on lego and a kitchen σ is too small (`experiments/depth.md`).
 
@@ -32,7 +32,7 @@ pub const LEVEL: u8 = 7;
 const CELLS: f64 = 200.0;
 
 /// A jump of the depth is a change by more than this share of the nearer depth.
-pub const JUMP: f64 = 0.025;
+pub const DEPTH_JUMP: f64 = 0.025;
 
 /// Exponents of s, U, b and 1 + e.
 const EXPONENTS: [f64; 4] = [0.34, 0.48, 0.18, -0.09];
@@ -79,12 +79,19 @@ impl<'a> DepthDeviation<'a> {
         monitor: &dyn Monitor,
     ) -> Result<Vec<f64>> {
         let terms = self.terms(renderer, camera, pixel_offset, view, monitor)?;
+        Ok(self.of_terms(renderer, &terms))
+    }
+
+    /// σ from [terms](Self::terms).
+    #[doc(hidden)]
+    #[must_use]
+    pub fn of_terms(&self, renderer: &dyn Renderer, terms: &[[f64; 4]]) -> Vec<f64> {
         let [alone, with_images] = FACTORS[usize::from(renderer.marched().is_none())];
         let sigma = |terms: &[f64; 4]| match self.images {
             None => alone * (terms[0] * terms[1]).sqrt(),
             Some(_) => with_images * (0..4).map(|k| terms[k].powf(EXPONENTS[k])).product::<f64>(),
         };
-        Ok(terms.iter().map(sigma).collect())
+        terms.iter().map(sigma).collect()
     }
 
     /// `[height · width]`: s, U′, b and 1 + e; b and e are left out without training images. NaN where more than half of
@@ -116,7 +123,7 @@ impl<'a> DepthDeviation<'a> {
             1.0 / (cells * DMat3::from_cols(i, j, k).determinant().abs().cbrt())
         };
         let agreement = self.images.map(|sweep| sweep.of_view(camera, pixel_offset, view, monitor)).transpose()?;
-        let edges = self.images.map(|_| pixels_to_edge(view, JUMP));
+        let edges = self.images.map(|_| pixels_to_edge(view, DEPTH_JUMP));
         let of = |(i, pixel): (usize, &Pixel)| {
             if pixel.opacity <= 0.5 {
                 return [f64::NAN; 4];

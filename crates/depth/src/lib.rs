@@ -12,7 +12,7 @@ mod training_images;
 mod training_views;
 mod trust;
 
-pub use deviation::{DepthDeviation, JUMP, LEVEL};
+pub use deviation::{DEPTH_JUMP, DepthDeviation, LEVEL};
 pub use measure::{Length, Snapped, SurfacePoint, Surveyor};
 pub use photographs::Photograph;
 pub use sweep::Sweep;

@@ -7,7 +7,7 @@ use octobayes::render::{DepthSample, DepthVariance, RenderedView, Renderer};
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
 
-use super::{DepthDeviation, JUMP, TrainingViews, Trust};
+use super::{DEPTH_JUMP, DepthDeviation, TrainingViews, Trust};
 
 /// Pixels of the picture around a point, along each side: farther edges do not count.
 const SIDE: u32 = 31;
@@ -70,7 +70,7 @@ pub struct Length {
 
 impl Surveyor<'_> {
     /// Moves a point along a view of it to the surface that the view shows. Of the training views that show one there,
-    /// within a [jump](JUMP), the one of the smallest deviation counts.
+    /// within a [jump](DEPTH_JUMP), the one of the smallest deviation counts.
     ///
     /// # Errors
     /// If the model cannot render a camera.
@@ -87,7 +87,7 @@ impl Surveyor<'_> {
         for i in inside {
             let Some(found) = self.in_view(i, x)? else { continue };
             let farther = found.position.distance(self.cameras[i].position) - distance(i);
-            if farther.abs() <= JUMP * distance(i) && best.is_none_or(|best| found.deviation < best.deviation) {
+            if farther.abs() <= DEPTH_JUMP * distance(i) && best.is_none_or(|best| found.deviation < best.deviation) {
                 best = Some(found);
             }
             if nearest.is_none_or(|(_, other)| farther.abs() < other.abs()) {
@@ -154,5 +154,53 @@ impl Length {
             return Err(Error::setting("length", expected, format!("{} and {}", a.deviation, b.deviation)));
         }
         Ok(Self { length: a.position.distance(b.position), deviation: variance.max(0.0).sqrt(), correlation })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use octobayes::estimate::{Estimation, GridSettings, RaySettings};
+    use octobayes::field::{ClosedForm, RadianceField};
+    use octobayes::geometry::Domain;
+    use octobayes::posterior::{Covariance, DataScale, Scale};
+
+    use super::*;
+
+    #[test]
+    fn errors_count_along_the_line_and_once_where_they_are_common() {
+        let (ball, cameras) = (ClosedForm::ball(), ClosedForm::half_circle(4, [32; 2]));
+        let data = DataScale::from_cameras(&cameras, 0.03, &Domain::Box(ball.bounds())).unwrap();
+        let grid = GridSettings::default().level(4).covariance(Covariance::Block).scale(Scale::Data(data));
+        let rays = RaySettings::default().rays(4000).occupancy(32);
+        let field = Estimation::new(&ball, &cameras).rays(rays).grid(grid).run().unwrap().field;
+        let end = |position, direction, deviation, pixel| SurfacePoint {
+            position,
+            camera: 0,
+            direction,
+            deviation,
+            pixel,
+            trust: Trust::Trusted,
+        };
+        let between = |a: &SurfacePoint, b: &SurfacePoint| Length::between(a, b, &field).unwrap();
+        let is = |found: f64, expected: f64| assert!((found - expected).abs() < 1e-9, "{found} for {expected}");
+        // Several cells apart, no vertex is shared: the ends are independent, and count by the cosine with the line.
+        let (a, b) = (DVec3::new(0.45, -0.3, 0.0), DVec3::new(0.45, 0.3, 0.0));
+        let slanted = DVec3::new(-0.8, 0.6, 0.0);
+        let found = between(&end(a, slanted, 0.1, 0.0), &end(b, -DVec3::X, 0.2, 0.0));
+        assert!(found.correlation.abs() < 1e-9, "{found:?}");
+        is(found.length, 0.6);
+        is(found.deviation, 0.06);
+        let both = between(&end(a, DVec3::Y, 0.03, 0.0), &end(b, -DVec3::Y, 0.04, 0.0));
+        is(both.deviation, 0.05);
+        // Across the views, a pixel's width is left.
+        is(between(&end(a, DVec3::X, 0.1, 0.03), &end(b, DVec3::X, 0.2, 0.04)).deviation, 0.05 / 12_f64.sqrt());
+        // Ends in one place move together, from whichever side they are seen: the length stays.
+        let near = a + DVec3::Y * 1e-6;
+        let same = between(&end(a, DVec3::Y, 0.1, 0.0), &end(near, DVec3::Y, 0.1, 0.0));
+        assert!(same.correlation > 0.999 && same.deviation < 1e-3, "{same:?}");
+        let against = between(&end(a, DVec3::Y, 0.1, 0.0), &end(near, -DVec3::Y, 0.1, 0.0));
+        assert!(against.correlation < -0.999 && against.deviation < 1e-3, "{against:?}");
+        let unknown = Length::between(&end(a, DVec3::Y, f64::NAN, 0.0), &end(b, DVec3::Y, 0.1, 0.0), &field);
+        assert!(unknown.unwrap_err().to_string().contains("ends whose depths have deviations"));
     }
 }

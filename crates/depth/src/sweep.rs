@@ -164,7 +164,7 @@ mod tests {
             found.sort_unstable_by(f64::total_cmp);
             found[found.len() / 2]
         };
-        // A step is 3 / 400; the shell of the ball is soft by 0.04, of which a pixel mixes colours.
+        // The density of the ball rises over 0.04, five steps of 3 / 400, and a pixel mixes the colours there.
         let step = 3.0 * Sweep::STEP;
         assert!(front.len() > 1000 && median_of(&photographs, 0.0) <= 2.0 * step);
         for moved in [-0.06, -0.1] {

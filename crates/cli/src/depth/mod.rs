@@ -17,7 +17,7 @@ use self::summary::{announce_summary, write_quality};
 use self::view::{DepthView, MapSettings, Quality, files};
 use self::worst::Page;
 use super::files::CommandFiles;
-use super::options::{MAX_KEPT_COUNT, count, heading, model_name, parse_positive, parse_views};
+use super::options::{MAX_KEPT_COUNT, ModelArgument, count, heading, parse_positive, parse_views};
 use super::progress::Bars;
 use octobayes::error::counted;
 use octobayes::monitor::Monitor;
@@ -56,9 +56,8 @@ const SIDE: u32 = 640;
     octobayes depth scene.ply depth/field.oct --cameras sparse/0 --known 0,0,0,1,0.2,0,1.5 -o metric"
 )]
 pub struct Args {
-    /// The trained model
-    #[arg(value_name = "MODEL", value_parser = model_name())]
-    model: String,
+    #[command(flatten)]
+    model: ModelArgument,
 
     /// A field of the model, of `uncertainty --for depth` or of `depth` before; without it, it is computed first
     #[arg(value_name = "FIELD.oct", help_heading = heading::INPUT)]
@@ -131,7 +130,7 @@ impl Args {
         let unit = self.unit.unit();
         let kind = if self.z_depth { DepthKind::Z } else { DepthKind::Euclidean };
         let settings = MapSettings { unit, step: self.step, kind, exr: self.exr };
-        let read = self.scene.files(&self.model, self.field.as_deref())?;
+        let read = self.scene.files(&self.model.model, self.field.as_deref())?;
         read.check()?;
         std::fs::create_dir_all(&self.output).map_err(Error::io(&self.output, "cannot create the folder"))?;
         let field = self.output.join(FIELD);
@@ -148,7 +147,7 @@ impl Args {
             self.check_maps(&stems, files)
         };
         let save = save.map(PathBuf::as_path);
-        let scene = self.scene.open(&self.model, self.field.as_deref(), &written, check, save, bars)?;
+        let scene = self.scene.open(&self.model.model, self.field.as_deref(), &written, check, save, bars)?;
         let pixels =
             chosen.iter().map(|&i| scene.frames()[i].camera.strided(self.stride(&scene.frames()[i]), 0.5).pixels());
         let pixels: u64 = pixels.sum();
@@ -183,7 +182,7 @@ impl Args {
         look.bars.end();
         write_quality(&self.output.join(OF_ALL[0]), &rows, settings)?;
         write_depth_points(&self.output.join(OF_ALL[1]), cloud.points(), settings.unit.is_known.then_some("m"))?;
-        page.write(&self.output.join(OF_ALL[2]), &rows, &self.model, look)?;
+        page.write(&self.output.join(OF_ALL[2]), &rows, &self.model.model, look)?;
         announce_summary(&rows, settings.unit);
         if self.json {
             let unit = settings.unit.name();

@@ -1,7 +1,7 @@
 //! Trusted points of all photographs.
 
 use glam::Vec3;
-use octobayes_depth::{JUMP, Trust};
+use octobayes_depth::{DEPTH_JUMP, Trust};
 use octobayes_show::export::DepthPoint;
 
 use super::view::DepthView;
@@ -70,7 +70,7 @@ fn normal(view: &DepthView, i: usize, offset: f64) -> Vec3 {
     };
     let Some(here) = at(x, y) else { return Vec3::ZERO };
     // What lies beyond a jump is another surface.
-    let far = JUMP * view.rendered.pixels[i].median_depth;
+    let far = DEPTH_JUMP * view.rendered.pixels[i].median_depth;
     let beside = |x: usize, y: usize| at(x, y).filter(|other| other.distance(here) <= far);
     // Both sides where they are there, so that noise of one pixel counts less.
     let along = |before: Option<glam::DVec3>, after: Option<glam::DVec3>| match (before, after) {

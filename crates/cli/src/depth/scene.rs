@@ -20,7 +20,7 @@ use octobayes_evaluation::check_images;
 use octobayes_session::{Choices, OpenedModel, ScaleKind, Session, image_settings};
 use rayon::prelude::*;
 
-/// Rays of a field that is computed: more change deviations by less than their own error (`experiments/depth.md`).
+/// Rays of a field that is computed: about as many as those of the fields by which the factors of σ were fitted.
 const RAYS: u64 = 500_000;
 
 /// Where a model's depths come from.

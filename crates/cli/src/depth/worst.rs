@@ -16,7 +16,7 @@ use super::{Look, NINETY, Unit};
 
 /// Places that are shown, each of another photograph.
 const PLACES: usize = 4;
-/// Squares along the longest side of a photograph, of which the least certain is looked for.
+/// Squares along the longest side of a photograph. The least certain of them is shown.
 const SQUARES: usize = 26;
 /// Half the side of a picture, squares.
 const AROUND: usize = 4;
@@ -190,7 +190,7 @@ fn side_of_square(view: &DepthView) -> usize {
     (width.max(height) as usize / SQUARES).max(4)
 }
 
-/// The mean deviation of the least certain square of which half is trusted, and the middle pixel of its trusted ones.
+/// The least certain of the squares that are trusted for a half: its mean deviation, and its middle trusted pixel.
 fn least_certain(view: &DepthView) -> Option<(f64, usize)> {
     let [width, height] = view.rendered.resolution.map(|n| n as usize);
     let side = side_of_square(view);

@@ -2,7 +2,6 @@
 //!
 //! All images are made beforehand: the page needs no model, no WebGL and no network, and opens from disk.
 
-use std::io::Write;
 use std::path::Path;
 
 use base64::Engine;
@@ -77,10 +76,7 @@ impl Comparison<'_> {
     /// # Errors
     /// If an image cannot be encoded, or the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let text = self.text()?;
-        let mut file = AtomicFile::create(path)?;
-        file.write_all(text.as_bytes()).map_err(Error::io(path, "cannot write"))?;
-        file.commit()
+        AtomicFile::write(path, self.text()?.as_bytes())
     }
 }
 

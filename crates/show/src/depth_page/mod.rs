@@ -2,12 +2,11 @@
 //! network, and opens from disk.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::Path;
 
 use image::RgbImage;
+use octobayes::Result;
 use octobayes::io::AtomicFile;
-use octobayes::{Error, Result};
 
 use crate::comparison::data_url;
 
@@ -90,10 +89,7 @@ impl DepthPage<'_> {
     /// # Errors
     /// If an image cannot be encoded, or the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let text = self.text()?;
-        let mut file = AtomicFile::create(path)?;
-        file.write_all(text.as_bytes()).map_err(Error::io(path, "cannot write"))?;
-        file.commit()
+        AtomicFile::write(path, self.text()?.as_bytes())
     }
 
     fn histogram(&self) -> String {

@@ -1,6 +1,5 @@
 //! Maps of numbers as grey pictures, for programs.
 
-use std::io::Write;
 use std::path::Path;
 
 use image::codecs::png::PngEncoder;
@@ -30,9 +29,7 @@ fn write(path: &Path, [width, height]: [u32; 2], bytes: &[u8], kind: ExtendedCol
     let mut text = Vec::new();
     let failed = |e: image::ImageError| Error::setting("picture", "one that PNG can hold", e.to_string());
     PngEncoder::new(&mut text).write_image(bytes, width, height, kind).map_err(failed)?;
-    let mut file = AtomicFile::create(path)?;
-    file.write_all(&text).map_err(Error::io(path, "cannot write"))?;
-    file.commit()
+    AtomicFile::write(path, &text)
 }
 
 #[cfg(test)]

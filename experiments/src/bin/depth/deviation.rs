@@ -24,8 +24,8 @@ use common::table::{Table, mean};
 use crate::judge::{self, LEVELS};
 use crate::scene::{Data, Scene};
 
-/// Every so many held-out views count.
-const EVERY: usize = 2;
+/// One held-out view in so many counts.
+pub const EVERY: usize = 2;
 /// Pixels of each row of scenes by which factors and exponents are fitted.
 const KEPT: usize = 4000;
 /// Nominal probabilities of the table, the first of [`PROBABILITIES`].
@@ -131,11 +131,9 @@ fn judge_views(
         for truth in &truths {
             let view = evaluator.evaluate(truth, 0, &Silent)?;
             let object = view.of_kind(PixelKind::Object);
-            let of_view = |deviation: &DepthDeviation| {
-                deviation.of_view(renderer, &truth.camera, offset, &view.rendered, &Silent)
-            };
-            let (by_field, by_images) = (of_view(&alone)?, of_view(&joined)?);
+            let by_field = alone.of_view(renderer, &truth.camera, offset, &view.rendered, &Silent)?;
             let of_images = joined.terms(renderer, &truth.camera, offset, &view.rendered, &Silent)?;
+            let by_images = joined.of_terms(renderer, &of_images);
             for (k, &i) in view.pixels.iter().enumerate() {
                 if !object.is_none_or(|is| is[k]) || by_images[i].is_nan() {
                     continue;

@@ -202,7 +202,7 @@ fn main() -> Result<()> {
         let rows = tested.iter().map(&measure).collect::<Result<Vec<_>>>()?;
         let table = deviation::table(&names(&tested), &rows);
         let text = format!("{table}\n### Exponents that spot and the bunny give\n\n{}", deviation::fit(&fitted));
-        Ok((settings_with(SIDE, 1, STEPS, &SEEDS[..1]), text))
+        Ok((deviation_settings(&format!("{SIDE} × {SIDE}")), text))
     })?;
     program.part("deviation-elsewhere", |work| {
         use deviation::Kind::{Splats, Volume};
@@ -221,7 +221,7 @@ fn main() -> Result<()> {
         };
         let rows = cases.iter().map(measure).collect::<Result<Vec<_>>>()?;
         let text = deviation::table(&cases.iter().map(name).collect::<Vec<_>>(), &rows);
-        Ok((settings_with(SIDE, 1, STEPS, &SEEDS[..1]), text))
+        Ok((deviation_settings("200 × 200 (lego 400 × 400, kitchen 320 × 240)"), text))
     })?;
     program.part("pretrained", |work| {
         let row = |name: &&str| Ok(vec![work.row(name, || pretrained::measure(name))?]);
@@ -340,6 +340,12 @@ fn settings(steps: u64, of: &[u64]) -> String {
 #[must_use]
 pub fn compared(every: u32) -> String {
     if every == 1 { "all pixels".into() } else { format!("one pixel in {every} along x and y") }
+}
+
+fn deviation_settings(size: &str) -> String {
+    let (described, of) = (describe(&rays(), &grid(), &[]), seeds(&SEEDS[..1]));
+    let every = deviation::EVERY;
+    format!("{size} pixels, {STEPS} steps; all pixels of one in {every} of the held-out views. {described} {of}")
 }
 
 /// `every`: of the pixels of the held-out views, one in so many counts along x and y.

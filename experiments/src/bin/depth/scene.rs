@@ -193,7 +193,7 @@ impl Data {
         self.held_out_with(pixel_offset, stride, 0.0)
     }
 
-    /// The same, of which kinds of pixels are known: a depth jumps if it changes by more than `jump`, scene units.
+    /// The same with the kinds of their pixels. A depth jumps if it changes by more than `jump`, scene units.
     pub fn held_out_with(&self, pixel_offset: f64, stride: u32, jump: f64) -> Result<Vec<TrueView>> {
         let views = Views::read(&self.folder.join("transforms_test.json"), None)?;
         self.true_views(&views, &views.frames, pixel_offset, stride, jump)
