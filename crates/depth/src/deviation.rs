@@ -1,18 +1,19 @@
 //! How far the depth of a pixel may be off: a standard deviation.
 //!
-//! Letters: s the spread of the ray's weights ([`RenderedView::spread`]); t the expected depth; U the uncertainty there,
-//! and h the edge of a cube that has the volume of a finest cell there; b how far from the median depth the training
-//! images agree best ([`Sweep`]), with half a step for what a sweep cannot tell apart; e pixels to an edge of the depth
-//! map; k a factor of the kind of model.
+//! Letters: s the spread of the ray's weights ([`RenderedView::spread`]); t the expected depth; U the uncertainty
+//! there, and h the edge of a cube that has the volume of a finest cell there; b how far from the median depth the
+//! training images agree best ([`Sweep`]), with half a step for what a sweep cannot tell apart; e pixels to an edge of
+//! the depth map; k a factor of the kind of model.
 //!
 //! - From the field alone: σ = k √(s U′).
 //! - With the training images: σ = k s^0.34 U′^0.48 b^0.18 (1 + e)^−0.09.
 //!
 //! U′ = U (200 h / t)^(3/2) is U for cells as wide as 1/200 of the distance, about a pixel of the images on which the
-//! factors were fitted: a vertex gathers the rays of a volume, so that U is proportional to h^(−3/2) where images determine
-//! it. There σ hardly depends on the level and on the size of the box. The exponents of lengths add up to one, so that σ has the unit of the
-//! scene whatever that is. They were fitted by the likelihood of errors on two meshes, and hold on others, where σ ranks
-//! errors better than √(Var + s²) does; on lego and a kitchen σ is too small (`experiments/depth.md`).
+//! factors were fitted: a vertex gathers the rays of a volume, so that U is proportional to h^(−3/2) where images
+//! determine it. There σ hardly depends on the level and on the size of the box. The exponents of lengths add up to
+//! one, so that σ has the unit of the scene whatever that is. They were fitted by the likelihood of errors on two
+//! meshes, and hold on others, where σ ranks errors better than √(Var + s²) does; on lego and a kitchen σ is too small
+//! (`experiments/depth.md`).
 
 use glam::{DMat3, DVec3, Vec3};
 use octobayes::geometry::Camera;
@@ -94,8 +95,8 @@ impl<'a> DepthDeviation<'a> {
         terms.iter().map(sigma).collect()
     }
 
-    /// `[height · width]`: s, U′, b and 1 + e; b and e are left out without training images. NaN where more than half of
-    /// the light passes.
+    /// `[height · width]`: s, U′, b and 1 + e; b and e are left out without training images. NaN where more than half
+    /// of the light passes.
     ///
     /// # Errors
     /// [`Error::Interrupted`] only.
