@@ -25,7 +25,7 @@ fn splats(c: &mut Criterion) {
         b.iter(|| black_box(renderer.prepare(&cameras[3], Outputs::Derivatives)));
     });
     group.throughput(Throughput::Elements(cameras[3].pixels()));
-    group.bench_function("image", |b| b.iter(|| renderer.image(&cameras[3], 0.5, &[], &[], &Silent).unwrap()));
+    group.bench_function("image", |b| b.iter(|| renderer.image(&cameras[3], 0.5, &[], &Silent).unwrap()));
     let rays = 1_000_000;
     group.throughput(Throughput::Elements(rays));
     group.bench_function("run of a million rays", |b| {

@@ -29,6 +29,7 @@ from ._api import (
 )
 from ._autodiff import jax_field, torch_field
 from ._clean import Cleaned, clean
+from ._depth import TRUST, depth, measure
 from ._export import export
 from ._model import Model
 from ._octobayes import __version__
@@ -37,6 +38,7 @@ from ._splats import Splats
 from ._uncertainty import Uncertainty
 
 __all__ = [
+    "TRUST",
     "Cleaned",
     "Model",
     "Splats",
@@ -46,11 +48,13 @@ __all__ = [
     "calibrate",
     "clean",
     "compare",
+    "depth",
     "evaluate",
     "export",
     "forecast",
     "jax_field",
     "load",
+    "measure",
     "merge",
     "nerfstudio",
     "next_view",

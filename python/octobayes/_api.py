@@ -255,7 +255,6 @@ def uncertainty(
     cutoff: float = DEFAULT.cutoff,
     error_bars: int | None = None,
     audit: bool = False,
-    images: Any = None,
     shard: str | tuple[int, int] | None = None,
     executor: Executor | None = None,
     shards: int | None = None,
@@ -309,11 +308,8 @@ def uncertainty(
     what skipped samples and the derivatives cost, for :attr:`Uncertainty.report`); shard (a part of the rays, which
     :func:`merge` joins); checkpoint (a file: the state is saved every minute, and a run with the same arguments goes on
     from there unless ``restart``); scale ('paper', or 'data': a standard deviation in scene units, which needs the
-    noise that training left, as ``noise``, 10^(-PSNR/20), or recorded in the model, and cameras of the size that the
-    model was trained at). ``lambda_`` is ``--lambda``.
-
-    images: the training images; their photometric residual is added to deviations of depth (``scale='data'``). The
-    folder from which the cameras' names start, or a list of files, one per camera.
+    noise that training left, as ``noise``, 10^(-PSNR/20), recorded in the model, or by images beside the cameras, and
+    cameras of the size that the model was trained at). ``lambda_`` is ``--lambda``.
 
     executor: anything with the ``submit`` of ``concurrent.futures``, which runs the ``shards`` instead of this process:
     a ProcessPoolExecutor, dask.distributed's ``client.get_executor()``. nerf must be a model's file that the workers
@@ -358,8 +354,6 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
             cutoff=(given.cutoff, DEFAULT.cutoff),
             audit=(given.audit, False),
         )
-        if given.images is not None:
-            raise wrong("images", "None for splats: only volumes are compared with their training images", given.images)
     if given.contract is not None and isinstance(nerf, Opened) and given.box is not None:
         raise wrong("box", "None with contract", "a box")
     parts = {name: getattr(given, name) for name in ("shard", "error_bars", "dump_samples")}
@@ -383,7 +377,6 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
         **domain,
         **_grid_options(given),
         **_image_options(nerf, given.background, given.march_step, given.pixel_offset, given.occupancy),
-        **_images(given.images, cameras.names),
         **cameras.options(),
         "memory": None if given.memory is None else whole("memory", given.memory, 1),
         "rays": "all" if isinstance(given.rays, str) and given.rays == "all" else whole("rays", given.rays, 1),
@@ -416,20 +409,6 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
     with reporting(given.progress) as report:
         field, said, needs = _octobayes.uncertainty(asked, cameras.rows, options, report)
     return field, [*said, *_remarks(asked)], needs
-
-
-def _images(images: Any, frames: list[str]) -> dict[str, Any]:
-    """Where the training images are, if they are asked for: a folder from which the frames' names start, or files."""
-    if images is None:
-        return {}
-    if isinstance(images, (str, os.PathLike)):
-        return {"images": as_path("images", images)}
-    if not isinstance(images, Sequence):
-        raise wrong("images", f"a folder, or a list of {len(frames)} files", images)
-    files = [as_path(f"images[{i}]", file) for i, file in enumerate(images)]
-    if len(files) != len(frames):
-        raise wrong("images", f"a file for each of {len(frames)} cameras", f"{len(files)} files")
-    return {"image_files": files}
 
 
 def _training_cameras(nerf: Any, cameras: Any, views: Any, resolution: Any, fov: float | None) -> Cameras:
@@ -582,10 +561,9 @@ def render(
     Returns float32 arrays: 'color' ``[H, W, 3]``, 'depth' ``[H, W]`` (median distance from the camera, scene units; 0
     where nothing is), 'opacity' ``[H, W]``, with u 'log10_uncertainty' ``[H, W]`` (NaN where the opacity is 0.05 or
     less, or what is seen lies outside the box of u, as in the command line's pictures), and with depth_error
-    'depth_error' ``[H, W]`` (scene units; NaN where nothing is), if u is calibrated 'depth_interval' ``[H, W]`` (half
-    width of the interval, scene units) and, if u was computed with images, 'color_spread' ``[H, W]`` (standard
-    deviation between the training images of the colour there, from 0 to 1; rely on the deviation of depth where it is
-    0.05 or less). With confirm also 'depth_confirmed' ``[H, W]``, which is bool.
+    'depth_error' ``[H, W]`` (scene units; NaN where more than half of the light passes) and, if u is calibrated,
+    'depth_interval' ``[H, W]`` (half width of the interval, scene units). With confirm also 'depth_confirmed'
+    ``[H, W]``, which is bool.
     Raises as :func:`uncertainty` does.
     """
     u = None if u is None else _field("u", u)
@@ -677,6 +655,7 @@ def evaluate(
     depth_pattern: str = DEFAULT.depth_pattern,
     z_depth: bool = False,
     object_masks: str | os.PathLike[str] | None = None,
+    images: str | os.PathLike[str] | None = None,
     training_depth: str | os.PathLike[str] | None = None,
     covariance: str | Sequence[str] | None = None,
     ray_average: str | Sequence[str] | None = None,
@@ -707,7 +686,8 @@ def evaluate(
     ``ValueError`` says so if nearly none is left, or if half of them are off by more than the box is wide.
 
     object_masks: folder of masks in which the object is not black, 'NAME.png' of each view; ``None`` for those that the
-    camera file names.
+    camera file names. images: folder from which the names of the training images start; deviations of depth then also
+    count how well these agree on each surface.
     training_depth: folder of the training views' maps; every measure then says how well it detects what no training
     view saw. ensemble: two or more models that were trained like this one, not callables. clean_up: also remove density
     (or splats) above ten thresholds of log10 U; alone, it needs no depth.
@@ -716,8 +696,7 @@ def evaluate(
     (name; 'ause_pooled', 'ause_from_start' (where both curves are divided by their start), 'rise' (of the curve above
     it), 'ause_mean_over_views', 'risk' and 'least_risk' by error kind; 'rank_correlation' and
     'rank_correlation_mean_over_views'; 'calibration' of standard deviations of depth, which fields of scale='data'
-    give, and 'confirmed', the same where three training views see a surface, if the model stores its cameras, and
-    'photo_consistent', the same where images agree on its colour, too, if u was computed with images;
+    give, and 'confirmed', the same where three training views see a surface, if the model stores its cameras;
     'never_seen' with training_depth), 'depth_error', 'depth_readings' (pixels of the maps: 'measured', and the others
     by reason), 'kinds' (share, depth error and measures of the object, silhouettes, thin
     parts, ...), 'psnr', 'views', 'pixels', 'clean_up' (a dictionary for each threshold) and others. Raises as
@@ -731,6 +710,7 @@ def evaluate(
         **_image_options(nerf, background, march_step, pixel_offset, occupancy, first),
         **_held_out_options(cameras, depth, depth_encoding, depth_pattern, z_depth, stride, views, resolution),
         "object_masks": None if object_masks is None else as_path("object_masks", object_masks),
+        "images": None if images is None else as_path("images", images),
         "training_depth": None if training_depth is None else as_path("training_depth", training_depth),
         "clean_up": flag("clean_up", clean_up),
         "ray_average": None if ray_average is None else names("ray_average", ray_average),

@@ -189,6 +189,21 @@ def render(
 ) -> dict[str, Floats]:
     """color [H, W, 3], depth, opacity, log10_uncertainty, depth_error, depth_interval [H, W]."""
 
+def depth(
+    nerf: Any, uncertainty: Uncertainty, rows: Doubles, options: dict[str, Any], progress: Progress | None
+) -> tuple[list[dict[str, Any]], list[Said]]:
+    """camera, name, depth, sigma, trust [H, W] of each photograph."""
+
+def measure(
+    nerf: Any,
+    uncertainty: Uncertainty,
+    rows: Doubles,
+    points: Sequence[Sequence[float]],
+    options: dict[str, Any],
+    progress: Progress | None,
+) -> tuple[str, list[Said]]:
+    """JSON, and what a user should know."""
+
 def evaluate(
     nerf: Any,
     fields: Sequence[tuple[str, Uncertainty]],

@@ -21,7 +21,7 @@ from ._model import Opened
 from ._uncertainty import Uncertainty
 
 # Arguments that belong to one process.
-ALONE = ("shard", "checkpoint", "dump_samples", "error_bars", "images")
+ALONE = ("shard", "checkpoint", "dump_samples", "error_bars")
 
 
 @dataclass(frozen=True)

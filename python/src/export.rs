@@ -97,7 +97,7 @@ impl Job<'_> {
             let volume = shown.field().ok_or_else(refused)?;
             return write_mesh(&self.path, volume, uncertainty, settings, engine.monitor()).map(|_| ());
         }
-        let renderer = shown.for_images(&self.settings, None, engine.monitor())?;
+        let renderer = shown.for_images(&self.settings, engine.monitor())?;
         let offset = self.settings.offset_for(shown);
         let found = surfaces(&*renderer, self.cameras, offset, self.pixels, engine.monitor())?;
         match self.kind {

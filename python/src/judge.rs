@@ -51,7 +51,7 @@ pub fn evaluate(
     let selection = options.selection()?;
     let (name, settings) = (options.or("source", String::new())?, image_settings(&options)?);
     let (stride, training_depth) = (options.or("stride", Evaluation::STRIDE)?, options.get("training_depth")?);
-    let object_masks = options.get("object_masks")?;
+    let (object_masks, images) = (options.get("object_masks")?, options.get("images")?);
     let (calibrate, clean_up) = (options.get("probability")?, options.or("clean_up", false)?);
     let (report, texts) = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
@@ -71,6 +71,7 @@ pub fn evaluate(
                 depth,
                 object_masks,
                 training_depth,
+                images,
                 calibrate,
                 clean_up,
                 curves: false,

@@ -5,6 +5,7 @@
 #![allow(clippy::needless_pass_by_value, reason = "PyO3 hands arguments over by value")]
 
 mod clean;
+mod depth;
 mod errors;
 mod export;
 mod field;
@@ -42,6 +43,8 @@ fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(clean::clean, module)?)?;
     module.add_function(wrap_pyfunction!(splats::export_splats, module)?)?;
     module.add_function(wrap_pyfunction!(view::render, module)?)?;
+    module.add_function(wrap_pyfunction!(depth::depth, module)?)?;
+    module.add_function(wrap_pyfunction!(depth::measure, module)?)?;
     module.add_function(wrap_pyfunction!(judge::evaluate, module)?)?;
     module.add_function(wrap_pyfunction!(plan::next_view, module)?)?;
     Ok(())

@@ -13,7 +13,7 @@ use octobayes_data::OfficialGrid;
 use octobayes_data::{Selection, rigid_pose};
 use octobayes_evaluation::{DepthFiles, Evaluation};
 use octobayes_next_view::Settings;
-use octobayes_session::{Choices, Resolution};
+use octobayes_session::{Choices, Resolution, Survey};
 use octobayes_show::export::{MeshSettings, Surfaces};
 use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::{PyOverflowError, PyValueError};
@@ -212,6 +212,7 @@ pub fn defaults() -> String {
         "take": views.take,
         "gain": views.gain,
         "view_pixels": views.pixels,
+        "depth_rays": Survey::RAYS,
     })
     .to_string()
 }

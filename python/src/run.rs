@@ -8,7 +8,6 @@ use octobayes::geometry::{Camera, Mask};
 use octobayes::glam::Vec3;
 use octobayes::monitor::Message;
 use octobayes_data::{Frame, MaskFile, Part, ResolutionSource, Views, camera_file, passed_over};
-use octobayes_depth::TrainingImages;
 use octobayes_session::{CameraSource, OpenedModel, Session};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -94,10 +93,6 @@ pub fn uncertainty(
     let chosen = source.opened().is_some_and(|opened| opened.coordinates.is_some());
     let checksum = source.opened().map(|opened| opened.checksum);
     let model_file = source.opened().map(|opened| PathBuf::from(&opened.name));
-    let images = match options.get::<PathBuf>("images")? {
-        Some(folder) => Some(TrainingImages::find(&folder, &views.frames).or_raise()?),
-        None => options.get::<Vec<String>>("image_files")?.map(|files| images(&files, &cameras)).transpose()?,
-    };
     let restart = options.or("restart", false)?;
     let checkpoint = options.get::<PathBuf>("checkpoint")?;
     let name = options.or("source", String::new())?;
@@ -118,7 +113,6 @@ pub fn uncertainty(
         .goal(goal)
         .checkpoint(checkpoint.map(|path| Checkpoint::new(path).restart(restart)))
         .scratch(options.get("scratch")?)
-        .images(images)
         .dump(options.get("dump_samples")?)
         .audit(options.or("audit", false)?)
         .force(options.or("force", false)?)
@@ -156,12 +150,6 @@ pub fn views(options: &Options, cameras: &[Camera]) -> PyResult<Views> {
         if options.or("is_assumed", false)? { ResolutionSource::Assumed } else { ResolutionSource::File };
     let frames = cameras.iter().zip(names).zip(beside).map(frame).collect();
     Ok(Views { path: "cameras".into(), frames, resolution_source, notes: Vec::new() })
-}
-
-/// Training images that are named one by one.
-fn images(files: &[String], cameras: &[Camera]) -> PyResult<TrainingImages> {
-    let frame = |(file, &camera): (&String, &Camera)| Frame::new(camera, file, file);
-    TrainingImages::new(files.iter().zip(cameras).map(frame).collect()).or_raise()
 }
 
 /// Masks from arrays of bool `[H, W]`, if there are any.

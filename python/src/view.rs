@@ -4,10 +4,10 @@ use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
 use octobayes::estimate::{Model, RaySettings};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Monitor;
-use octobayes::render::{DepthVariance, Pixel, Probe, RayAverage, RenderedView, Renderer};
-use octobayes::uncertainty::{BakedField, UncertaintyField, shown_log10, unknowns};
+use octobayes::render::{Pixel, Probe, RayAverage, RenderedView, Renderer};
+use octobayes::uncertainty::{BakedField, shown_log10, unknowns};
 use octobayes::{Error, Result};
-use octobayes_depth::TrainingViews;
+use octobayes_depth::{DepthDeviation, TrainingViews, pixel_angle};
 use octobayes_evaluation::Reading;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -45,16 +45,16 @@ pub fn render<'py>(
     if let Some(field) = &field {
         averages.iter().try_for_each(|&average| Reading::check(field, average)).or_raise()?;
     }
-    let (view, confirmed, colors) = work(py, source.gate(nerf), progress, |engine| {
+    let (view, confirmed, deviation) = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
             let probes = field.as_deref().map(|field| Probe { field, averages: &averages });
             let probes = probes.as_slice();
-            let posterior =
-                field.as_deref().filter(|_| depth_error).map(UncertaintyField::depth_posterior).transpose()?;
-            let posterior = posterior.iter().map(|posterior| posterior as _).collect::<Vec<&dyn DepthVariance>>();
             let unbaked = field.as_deref().map(BakedField::unbaked);
+            let known: Vec<Camera> = model.training_cameras().iter().map(|named| named.camera).collect();
+            let angle = pixel_angle(if known.is_empty() { std::slice::from_ref(&camera) } else { &known });
+            let of_depth = unbaked.as_ref().filter(|_| depth_error);
+            let of_depth = of_depth.map(|field| DepthDeviation::new(field, None, angle)).transpose()?;
             let cut = unbaked.as_ref().zip(threshold);
-            let lattice = field.as_deref().filter(|_| depth_error).map(UncertaintyField::lattice);
             let part = cut.map(|(field, threshold)| model.certain_part(field, threshold)).transpose()?;
             let part = match part {
                 Some(None) => {
@@ -62,32 +62,28 @@ pub fn render<'py>(
                 }
                 part => part.flatten(),
             };
-            let shown = part.as_deref().unwrap_or(model).for_images(&settings, lattice, engine.monitor())?;
+            let shown = part.as_deref().unwrap_or(model).for_images(&settings, engine.monitor())?;
             let offset = settings.offset_for(model);
             engine.monitor().begin("rows", u64::from(camera.resolution[1]));
-            let mut view = shown.image(&camera, offset, probes, &posterior, engine.monitor())?;
+            let mut view = shown.image(&camera, offset, probes, engine.monitor())?;
             let confirmed = if confirm {
                 let training = training_views(model, &*shown, offset, engine.monitor())?;
                 Some(training.confirmed(&camera, offset, &view))
             } else {
                 None
             };
-            let Some(unbaked) = &unbaked else { return Ok((view, confirmed, None)) };
-            let colors = unbaked.field().color_spread().filter(|_| depth_error);
-            let colors = colors.map(|spread| spread.of_view(&camera, offset, &view));
+            let of_view = |of: &DepthDeviation| of.of_view(&*shown, &camera, offset, &view, engine.monitor());
+            let deviation = of_depth.as_ref().map(of_view).transpose()?;
+            let Some(unbaked) = &unbaked else { return Ok((view, confirmed, deviation)) };
             let unknowns = unknowns(unbaked, &camera, offset, &view);
             let shown = view.log10_uncertainty.iter().map(|log10| shown_log10(&view, log10, &unknowns));
             view.log10_uncertainty = shown.collect();
-            Ok((view, confirmed, colors))
+            Ok((view, confirmed, deviation))
         })
     })?;
     let factor = uncertainty.and_then(|field| field.get().field.conformal().map(|conformal| conformal.factor));
-    let out = pictures(py, &view, factor)?;
+    let out = pictures(py, &view, deviation.as_deref(), factor)?;
     let [width, height] = view.resolution.map(|side| side as usize);
-    if let Some(colors) = colors {
-        let colors = PyArray1::from_iter(py, colors.into_iter().map(|v| v as f32));
-        out.set_item("color_spread", colors.reshape([height, width])?)?;
-    }
     if let Some(confirmed) = confirmed {
         out.set_item("depth_confirmed", PyArray1::from_vec(py, confirmed).reshape([height, width])?)?;
     }
@@ -108,8 +104,13 @@ fn training_views(
     TrainingViews::render(shown, &cameras, offset, monitor)
 }
 
-/// The arrays of a view, f32; with the half width of a calibrated interval in deviations.
-fn pictures<'py>(py: Python<'py>, view: &RenderedView, factor: Option<f64>) -> PyResult<Bound<'py, PyDict>> {
+/// The arrays of a view, f32; with deviations of depth, and the half width of a calibrated interval in deviations.
+fn pictures<'py>(
+    py: Python<'py>,
+    view: &RenderedView,
+    deviation: Option<&[f64]>,
+    factor: Option<f64>,
+) -> PyResult<Bound<'py, PyDict>> {
     let [width, height] = view.resolution.map(|side| side as usize);
     let picture = |of: &dyn Fn(&Pixel) -> f64| {
         PyArray1::from_iter(py, view.pixels.iter().map(|pixel| of(pixel) as f32)).reshape([height, width])
@@ -123,7 +124,7 @@ fn pictures<'py>(py: Python<'py>, view: &RenderedView, factor: Option<f64>) -> P
         let values = PyArray1::from_iter(py, values.iter().map(|&u| u as f32));
         out.set_item("log10_uncertainty", values.reshape([height, width])?)?;
     }
-    for deviations in &view.depth_deviation {
+    if let Some(deviations) = deviation {
         let times = |factor: f64| {
             PyArray1::from_iter(py, deviations.iter().map(|s| (factor * s) as f32)).reshape([height, width])
         };

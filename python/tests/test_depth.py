@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+import json
 from pathlib import Path
 
 import numpy as np
@@ -29,93 +29,96 @@ def test_depth_has_an_error_beside_it(metric, courtyard, cameras, field):
     view = ob.render(courtyard, metric, cameras[0], depth_error=True, progress=False)
     error, shown = view["depth_error"], view["opacity"] > 0.5
     assert error.shape == (48, 48) and error.dtype == np.float32
-    # At least what a march step of 2 root 3 / 1024 leaves open, and less than the box.
-    assert (error[shown] > 2 * 3**0.5 / 1024 / 12**0.5 * 0.99).all() and (error[shown] < 3).all()
-    assert np.isnan(error[view["opacity"] == 0]).all()
+    assert (error[shown] > 1e-3).all() and (error[shown] < 3).all() and np.isnan(error[~shown]).all()
     assert "depth_error" not in ob.render(courtyard, metric, cameras[0], progress=False)
-    # A callable is differentiated by differences; its errors are the same.
+    # Those of a callable are the same.
     again = ob.render(lambda x, d: courtyard(x, d), metric, cameras[0], depth_error=True, progress=False)
     same = shown & (again["opacity"] > 0.5)
     assert np.median(np.abs(np.log(again["depth_error"][same] / error[same]))) < 0.05
-    with pytest.raises(ValueError, match="scale='data': expected a field computed with it"):
+    with pytest.raises(ValueError, match="expected a field in the scale of its data"):
         ob.render(courtyard, field, cameras[0], depth_error=True, progress=False)
 
 
-#: What the images are off by in one channel, of 255.
-OFF = 20
-
-
 @pytest.fixture(scope="module")
-def images(courtyard, cameras, tmp_path_factory) -> list[Path]:
-    """Training images whose red is not what the model shows."""
-    folder = tmp_path_factory.mktemp("images")
-    files = [folder / f"{i}.png" for i in range(len(cameras))]
-    for camera, file in zip(cameras, files):
-        color = 255 * ob.render(courtyard, None, camera, progress=False)["color"]
-        # Where it stays within the range.
-        color[..., 0] += np.where(color[..., 0] < 128, OFF, -OFF)
-        png(file, np.round(np.dstack([color, np.full(color.shape[:2], 255)])))
-    return files
+def photographs(courtyard, cameras, tmp_path_factory) -> Path:
+    """A data set of what the model shows."""
+    folder = tmp_path_factory.mktemp("photographs")
+    frames = []
+    for i, camera in enumerate(cameras):
+        color = 255 * ob.render(courtyard, None, camera, progress=False)["color"].clip(0, 1)
+        png(folder / f"{i}.png", np.round(np.dstack([color, np.full(color.shape[:2], 255)])))
+        frames.append({"file_path": f"{i}.png", "transform_matrix": np.asarray(camera["pose"]).tolist()})
+    lens = {"fl_x": float(cameras[0]["focal"][0]), "w": 48, "h": 48}
+    (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    return folder / "transforms.json"
 
 
-def check_what_was_added(nerf, camera, without, joined) -> np.ndarray:
-    """The residuals's share of the deviations, which are returned."""
-    before, after = (
-        ob.render(nerf, u, camera, depth_error=True, progress=False)["depth_error"] for u in (without, joined)
-    )
-    # One channel of three is off by as much everywhere, to half a step of the images; a 10th of the box's edge of 2.
-    expected = 0.2 * OFF / 255 / 3**0.5
-    # Elsewhere what was there hides it from f32.
-    small = before < 0.1
-    added = np.sqrt(after[small].astype(float) ** 2 - before[small].astype(float) ** 2)
-    # The two other channels are off by half a step: a share of (0.5 / OFF)^2, 6e-4. f32 leaves 6e-8 (0.1 / added)^2.
-    assert small.sum() > 500 and (np.abs(added / expected - 1) < 0.5 / OFF + 7e-4).all()
-    return after
+def test_depths_have_deviations_and_trust(metric, courtyard, photographs):
+    with_images = ob.depth(courtyard, photographs, metric, photographs=[1, 2], progress=False)
+    alone = ob.depth(courtyard, photographs, metric, photographs=[1, 2], images=False, progress=False)
+    assert [(view["camera"], view["name"]) for view in alone] == [(1, "1.png"), (2, "2.png")]
+    for view, other in zip(alone, with_images):
+        assert view["depth"].shape == (48, 48) and view["depth"].dtype == np.float32
+        np.testing.assert_array_equal(view["depth"], other["depth"])
+        shown = view["trust"] > 0
+        assert set(np.unique(view["trust"])) <= set(ob.TRUST) and (view["trust"] == 255).sum() > 100
+        for name in ("depth", "sigma"):
+            assert np.isfinite(view[name][shown]).all() and np.isnan(view[name][~shown]).all()
+        assert (view["sigma"][shown] > 0).all() and not np.array_equal(view["sigma"][shown], other["sigma"][shown])
+    # From the field alone they are those of pictures; along the axis they are shorter, but in the middle.
+    camera = {"pose": json.loads(photographs.read_text())["frames"][1]["transform_matrix"]}
+    camera |= {"focal": json.loads(photographs.read_text())["fl_x"], "size": (48, 48)}
+    picture = ob.render(courtyard, metric, camera, depth_error=True, progress=False)
+    np.testing.assert_allclose(alone[0]["sigma"], picture["depth_error"], rtol=1e-5)
+    axis = ob.depth(courtyard, photographs, metric, photographs=[1], images=False, z_depth=True, progress=False)[0]
+    shown = axis["trust"] > 0
+    shorter = axis["depth"][shown] / alone[0]["depth"][shown]
+    assert shorter.max() <= 1 and shorter.min() < 0.97
+    np.testing.assert_allclose(axis["sigma"][shown] / alone[0]["sigma"][shown], shorter, rtol=1e-5)
+    # Every other pixel.
+    strided = ob.depth(courtyard, photographs, metric, photographs=[1], images=False, stride=2, progress=False)[0]
+    np.testing.assert_array_equal(strided["depth"], alone[0]["depth"][::2, ::2])
 
 
-def test_deviations_count_what_images_show_and_the_model_does_not(metric, courtyard, cameras, images):
-    settings = {"scale": "data", "noise": 0.0316, "covariance": "block", "keep_sums": True, **SMALL}
-    joined = ob.uncertainty(courtyard, cameras, images=images, **settings)
-    x = np.float32([[0.0, 0.0, -0.5], [0.3, 0.2, 0.1]])
-    np.testing.assert_array_equal(joined.query(x), metric.query(x))
-    after = check_what_was_added(courtyard, cameras[0], metric, joined)
-
-    # By name, in a folder.
-    named = [{**camera, "file_path": f"./{i}"} for i, camera in enumerate(cameras)]
-    again = ob.uncertainty(courtyard, named, images=images[0].parent, **settings)
-    view = ob.render(courtyard, again, cameras[0], depth_error=True, progress=False)
-    np.testing.assert_array_equal(view["depth_error"], after)
-
-    # Of two colours from 0 to 1, the standard deviation is at most √½, of more it is smaller. All images show one
-    # scene: on a part of it they agree.
-    spread, shown = view["color_spread"], view["opacity"] > 0
-    known = np.isfinite(spread)
-    assert spread.shape == shown.shape and spread.dtype == np.float32 and not known[~shown].any()
-    assert (spread[known] >= 0).all() and (spread[known] <= 0.5**0.5 + 1e-6).all() and (spread[known] <= 0.05).any()
-    for field, more in ((metric, {"depth_error": True}), (again, {})):
-        assert "color_spread" not in ob.render(courtyard, field, cameras[0], progress=False, **more)
-
-    # Of a callable, and through a file.
+def test_a_callable_and_a_field_of_its_own(courtyard, photographs):
     callable_ = in_python(courtyard, "box", "step")
-    plain = ob.uncertainty(callable_, cameras, **settings)
-    ob.uncertainty(callable_, cameras, images=images, **settings).save(images[0].parent / "field.oct")
-    check_what_was_added(callable_, cameras[0], plain, ob.load(images[0].parent / "field.oct"))
+    views = ob.depth(callable_, photographs, noise=0.05, photographs=[0], progress=False)
+    assert (views[0]["trust"] == 255).any() and np.isfinite(views[0]["sigma"][views[0]["trust"] > 0]).all()
 
 
-def test_images_that_are_not_there_get_a_sentence(courtyard, cameras, images):
-    settings = {"scale": "data", "noise": 0.0316, **SMALL}
-    with pytest.raises(ValueError, match="images: expected scale='data', in which depths have deviations"):
-        ob.uncertainty(courtyard, cameras, images=images, **SMALL)
-    with pytest.raises(ValueError, match=f"images: expected a file for each of {len(cameras)} cameras, found 1 files"):
-        ob.uncertainty(courtyard, cameras, images=images[:1], **settings)
-    with pytest.raises(ValueError, match="images: expected a folder, or a list of .* files, found 3"):
-        ob.uncertainty(courtyard, cameras, images=3, **settings)
-    with pytest.raises(ValueError, match="images: expected the folder from which the names .* found neither"):
-        ob.uncertainty(courtyard, cameras, images=images[0].parent, **settings)
-    with pytest.raises(OSError, match="missing.png"):
-        ob.uncertainty(courtyard, cameras, images=["missing.png"] * len(cameras), **settings)
-    with ThreadPoolExecutor() as pool, pytest.raises(ValueError, match="images: expected None with an executor"):
-        ob.uncertainty(courtyard, cameras, images=images, executor=pool, shards=2, **settings)
+def test_lengths_have_deviations(metric, courtyard, photographs):
+    view = ob.depth(courtyard, photographs, metric, photographs=[0], images=False, progress=False)[0]
+    frames = json.loads(photographs.read_text())
+    pose, focal = np.array(frames["frames"][0]["transform_matrix"]), frames["fl_x"]
+    rows, columns = np.nonzero(view["trust"] == 255)
+
+    def surface(k):
+        row, column = rows[k], columns[k]
+        ray = np.array([(column + 0.5 - 24) / focal, -(row + 0.5 - 24) / focal, -1.0])
+        return pose[:3, 3] + view["depth"][row, column] * (pose[:3, :3] @ (ray / np.linalg.norm(ray)))
+
+    a, b = surface(0), surface(len(rows) // 2)
+    found = ob.measure(courtyard, a, b, photographs, metric, images=False, progress=False)
+    low, high = found["interval_90"]
+    assert found["length"] == pytest.approx(np.linalg.norm(a - b), abs=0.1) and low < found["length"] < high
+    assert high - found["length"] == pytest.approx(1.645 * found["sigma"])
+    ends = [np.array(point["position"]) for point in found["points"]]
+    assert found["length"] == pytest.approx(np.linalg.norm(ends[0] - ends[1]))
+    with pytest.raises(ValueError, match="a: expected a point on a surface that a training camera sees"):
+        ob.measure(courtyard, pose[:3, 3] * 0.9, b, photographs, metric, images=False, progress=False)
+    with pytest.raises(ValueError, match="b: expected three finite numbers"):
+        ob.measure(courtyard, a, (1, 2), photographs, metric)
+
+
+def test_wrong_arguments_of_depth_get_a_sentence(metric, field, courtyard, photographs):
+    for wrong, sentence in (
+        ({"photographs": [9999]}, "photographs: expected"),
+        ({"stride": 0}, "stride: expected"),
+        ({"noise": 0.1}, "noise: expected None beside u"),
+        ({"u": field}, "the scale of its data"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            ob.depth(courtyard, photographs, **{"u": metric, "progress": False, **wrong})
 
 
 @pytest.mark.parametrize(

@@ -105,13 +105,6 @@ def test_a_map_belongs_to_one_frame(courtyard, metric, desk, tmp_path):
             judge(courtyard, metric, folder / "transforms_test.json", progress=False)
 
 
-def test_images_belong_to_one_frame(courtyard, cameras, desk):
-    folder, _ = desk
-    with pytest.raises(ValueError, match="training images: expected a file for each frame"):
-        images = [folder / NAMES[0]] * len(cameras)
-        ob.uncertainty(courtyard, cameras, images=images, scale="data", noise=0.0316, **SMALL)
-
-
 def test_calibration_reads_the_covariance_that_it_is_told(courtyard, metric, desk, tmp_path):
     folder, depths = desk
     maps = {"depth": write(tmp_path, depths, 0.0), "depth_pattern": "{}.exr", "progress": False}

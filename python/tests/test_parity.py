@@ -62,13 +62,12 @@ RUNS = {
         "m-0.safetensors --gradient auto --keep-sums --audit",
         {"nerf": "m-0.safetensors", "gradient": "auto", "keep_sums": True, "audit": True},
     ),
-    "scale of the data, with images": (
-        "m-0.safetensors --cameras set/transforms_train.json --scale data --images set --background black --force",
+    "scale of the data": (
+        "m-0.safetensors --cameras set/transforms_train.json --scale data --background black --force",
         {
             "nerf": "m-0.safetensors",
             "cameras": "set/transforms_train.json",
             "scale": "data",
-            "images": "set",
             "background": "black",
             "force": True,
         },

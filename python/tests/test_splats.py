@@ -196,7 +196,6 @@ def test_what_splats_do_not_have_is_refused(splats, field, path, held_out, court
         "occupancy": 32,
         "target_error": 0.1,
         "refine": "density",
-        "images": str(path.parent),
     }.items():
         with pytest.raises(ValueError, match="splats|volume"):
             ob.uncertainty(splats, CAMERAS, **{**RUN, name: value})

@@ -18,8 +18,5 @@ pub fn facts(field: &UncertaintyField) -> Value {
         "ray_sets": field.ray_sets(),
         "limited": !field.limits().is_unlimited(),
         "errors": ErrorBudget::of_field(field),
-        "residuals": field.residuals().map(|found| json!({ "root_mean_square": found.mean(), "level": found.level() })),
-        "color_spread":
-            field.color_spread().map(|found| json!({ "root_mean_square": found.mean(), "level": found.level() })),
     })
 }

@@ -15,7 +15,7 @@ use crate::geometry::{Aabb, Camera, Domain};
 use crate::monitor::{Monitor, Silent};
 use crate::octree::MaxLevels;
 use crate::posterior::{Covariance, DataScale, OctreePosterior, Pooling, Posterior, Refinement, Scale};
-use crate::render::{DepthProbe, Marcher, Tracer, render_view_with_depth};
+use crate::render::{Marcher, Tracer, render_view};
 use crate::uncertainty::{Support, UncertaintyField};
 use glam::{DVec3, Vec3};
 
@@ -256,25 +256,22 @@ fn coarse_leaves_mean_what_fine_ones_do() {
     }
 }
 
-/// Leaves that are kept one level coarser have eight times the information of the finest ones. A deviation of depth by
-/// that would be a third of that of the finest lattice from the same rays; it must mean the same, whether or not the
-/// sums were kept.
+/// Leaves that are kept one level coarser have eight times the information of the finest ones. U by that would be a
+/// third of that of the finest lattice from the same rays; where a camera sees surfaces it must mean the same, whether
+/// or not the sums were kept.
 #[test]
-fn coarser_leaves_say_of_depth_what_the_finest_lattice_does() {
+fn coarser_leaves_have_the_uncertainty_of_the_finest_lattice() {
     let ball = ClosedForm::ball();
     let cameras = ClosedForm::half_circle(40, [100; 2]);
     let data = DataScale::from_cameras(&cameras, 0.03, &Domain::Box(ball.bounds())).unwrap();
     let camera = Camera::look_at(DVec3::new(2.1, -1.7, 0.9), DVec3::ZERO, DVec3::Z, 0.6, [24, 24]);
     let marcher = Marcher { step: 0.02, bounds: ball.bounds(), occupancy: None, cutoff: 1e-4 };
     let tracer = Tracer { field: &ball, marcher, background: Vec3::ONE };
-    let deviations = |field: &UncertaintyField| -> Vec<f64> {
-        let differentiation = RaySettings::for_images().differentiation(&ball, field.lattice()).unwrap();
-        let posterior = field.depth_posterior().unwrap();
-        let probe = DepthProbe { differentiation, variances: &[&posterior] };
-        let view = render_view_with_depth(&tracer, &camera, 0.5, &[], &probe, &Silent).unwrap();
-        let hit = view.pixels.iter().zip(&view.posterior_variance[0]).filter(|(pixel, _)| pixel.opacity > 0.9);
-        hit.map(|(_, variance)| variance.sqrt()).collect()
-    };
+    let view = render_view(&tracer, &camera, 0.5, &[], &Silent).unwrap();
+    let hit = view.median_points(&camera, 0.5).filter(|(pixel, _)| pixel.opacity > 0.9);
+    let points: Vec<Vec3> = hit.map(|(_, x)| x.as_vec3()).collect();
+    let deviations =
+        |field: &UncertaintyField| -> Vec<f64> { points.iter().map(|x| field.query(*x).uncertainty).collect() };
     for covariance in [Covariance::Diagonal, Covariance::Block] {
         let grid = GridSettings { level: 5, covariance, scale: Scale::Data(data), ..GridSettings::default() };
         let lattice = grid.lattice(Domain::Box(ball.bounds())).unwrap();

@@ -121,29 +121,6 @@ impl CompositingWeights {
     }
 }
 
-impl CompositingWeights {
-    /// Writes ∂d/∂σ_i of the expected depth d = Σ w t / O, O = Σ w, for the samples of a ray into `out` (of all
-    /// samples; scene units²), in one backward sweep:
-    ///
-    /// ∂d/∂σ_i = (δ / O) (T_{i+1} t'_i − Σ_{j>i} w_j t'_j) with t' = t − d.
-    ///
-    /// 0 for a ray that meets nothing, which has no depth.
-    pub fn depth_derivative(&self, samples: &Range<usize>, t: &[f64], delta: f64, out: &mut [f64]) {
-        let weighted = || samples.clone().map(|i| (self.weights[i], t[i]));
-        let opacity: f64 = weighted().map(|(w, _)| w).sum();
-        if opacity <= 0.0 {
-            out[samples.clone()].fill(0.0);
-            return;
-        }
-        let depth = weighted().map(|(w, t)| w * t).sum::<f64>() / opacity;
-        let mut behind = 0.0;
-        for i in samples.clone().rev() {
-            out[i] = delta / opacity * (self.transmittance_after[i] * (t[i] - depth) - behind);
-            behind += self.weights[i] * (t[i] - depth);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -213,47 +190,6 @@ mod tests {
                     + 1e-15;
                 prop_assert!((numeric - analytic[i]).abs().max_element() <= limit,
                     "sample {}: {} against {}, limit {}", i, numeric, analytic[i], limit);
-            }
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn depth_derivative_is_the_derivative((densities, colors) in samples(), delta in 1e-4..0.1_f64) {
-            // Distances that grow unevenly, as where empty space is skipped.
-            let t: Vec<f64> = (0..densities.len()).map(|i| 2.0 + delta * (i + i / 7) as f64).collect();
-            let depth_at = |densities: &[f64]| {
-                let (mut transmittance, mut sum, mut opacity) = (1.0, 0.0, 0.0);
-                for (&density, &t) in densities.iter().zip(&t) {
-                    let w = transmittance * -(-density * delta).exp_m1();
-                    (sum, opacity, transmittance) = (sum + w * (t - 2.0), opacity + w, transmittance - w);
-                }
-                sum / opacity
-            };
-            let (quadrature, ray) = one_ray(&densities, delta);
-            let mut analytic = vec![0.0; densities.len()];
-            quadrature.depth_derivative(&ray, &t, delta, &mut analytic);
-            let pixel = quadrature.pixel(&ray, &colors, &t, DVec3::ZERO);
-            let exact: Vec<f64> = densities.iter().map(|&d| f64::from(d)).collect();
-            for i in ray {
-                if pixel.opacity == 0.0 {
-                    prop_assert_eq!(analytic[i], 0.0);
-                    continue;
-                }
-                // Differences in f64 of an f64 version, over a width that is small against 1/δ and the density: d
-                // depends on σ_i through exp(−δσ_i) and 1/O, so the relative second-order error is of the order of
-                // (hδ / O)².
-                let h = (1e-4 * pixel.opacity / delta).min(0.5 * exact[i].max(1e-9 / delta));
-                let (mut up, mut down) = (exact.clone(), exact.clone());
-                up[i] += h;
-                down[i] = (down[i] - h).max(0.0);
-                let numeric = (depth_at(&up) - depth_at(&down)) / (up[i] - down[i]);
-                let length = t.last().unwrap() - 2.0;
-                let one_sided = if down[i] == 0.0 { 2.0 * h * delta / pixel.opacity } else { 0.0 };
-                let limit = (delta / pixel.opacity) * length * (1e-6 + one_sided)
-                    + 1e-14 * (1.0 + length) / (h * pixel.opacity);
-                prop_assert!((numeric - analytic[i]).abs() <= limit, "sample {}: {} against {}, limit {}",
-                    i, numeric, analytic[i], limit);
             }
         }
     }

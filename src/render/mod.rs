@@ -1,7 +1,6 @@
 //! Rays through a field: samples, compositing, and the Jacobian of a pixel with respect to its samples.
 
 mod composite;
-mod depth;
 mod gradient;
 mod jacobian;
 mod march;
@@ -17,7 +16,6 @@ mod view;
 mod volume;
 
 pub use composite::Pixel;
-pub use depth::DepthVariance;
 pub use gradient::{Differentiation, GradientMethod};
 pub(crate) use march::SampleDistances;
 pub use noise::DifferenceErrors;
@@ -34,12 +32,11 @@ pub use volume::VolumeRenderer;
 #[doc(hidden)]
 pub use self::{
     composite::{CompositingWeights, depth_variance},
-    depth::{DepthProbe, DepthSample},
     gradient::{Differences, Stencil},
     jacobian::{JacobianBuffers, RayBatch},
     march::Marcher,
     noise::DifferenceError,
     occupancy::Occupancy,
     trace::{TraceBuffers, Tracer},
-    view::{WeightedRays, check_size, render_rays, render_view, render_view_with_depth},
+    view::{WeightedRays, check_size, render_rays, render_view},
 };

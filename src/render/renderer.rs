@@ -7,12 +7,12 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::{
-    CompositingWeights, DepthVariance, GradientMethod, Probe, RaySamples, RenderedView, VisibleSegment, VolumeRenderer,
-    WeightedRays, check_size,
+    CompositingWeights, GradientMethod, Probe, RaySamples, RenderedView, VisibleSegment, VolumeRenderer, WeightedRays,
+    check_size,
 };
+use crate::Result;
 use crate::geometry::{Aabb, Camera, Ray};
 use crate::monitor::{Monitor, check};
-use crate::{Error, Result};
 
 /// What a view is prepared for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -131,11 +131,6 @@ pub trait Renderer: Send + Sync {
         GradientMethod::Analytic
     }
 
-    /// Whether images may have variances of depth.
-    fn takes_variances(&self) -> bool {
-        false
-    }
-
     /// Prepares a camera's view.
     fn view<'v>(&'v self, camera: &Camera, to: Outputs) -> Box<dyn CameraView + 'v>;
 
@@ -147,8 +142,8 @@ pub trait Renderer: Send + Sync {
     /// Whether a camera that has this sight stands in matter.
     fn stands_in_matter(&self, camera: &Camera, sight: &[VisibleSegment]) -> bool;
 
-    /// Renders a camera's image, with the ray averages of `probes` and `variances` of every pixel's expected depth.
-    /// `pixel_offset` is the position in a pixel that its ray passes through (½ for the centre).
+    /// Renders a camera's image, with the ray averages of `probes`. `pixel_offset` is the position in a pixel that its
+    /// ray passes through (½ for the centre).
     ///
     /// Advances the monitor by one per row. The caller begins and ends the stage.
     ///
@@ -159,10 +154,9 @@ pub trait Renderer: Send + Sync {
         camera: &Camera,
         pixel_offset: f64,
         probes: &[Probe],
-        variances: &[&dyn DepthVariance],
         monitor: &dyn Monitor,
     ) -> Result<RenderedView> {
-        self.strided_image(camera, 1, pixel_offset, probes, variances, monitor)
+        self.strided_image(camera, 1, pixel_offset, probes, monitor)
     }
 
     /// Every `stride`-th pixel along x and y of [`Renderer::image`]: those of [`Camera::strided`].
@@ -175,13 +169,9 @@ pub trait Renderer: Send + Sync {
         stride: u32,
         pixel_offset: f64,
         probes: &[Probe],
-        variances: &[&dyn DepthVariance],
         monitor: &dyn Monitor,
     ) -> Result<RenderedView> {
         check_size(camera)?;
-        if !variances.is_empty() {
-            return Err(Error::setting("variances of depth", "a model that has them", "another"));
-        }
         let resolution = camera.strided(stride, pixel_offset).resolution;
         let [width, height] = resolution;
         let row = |y: u32| {
@@ -259,8 +249,7 @@ fn composited<R: Renderer + ?Sized>(
         thickness: vec![0.0; rays.len()],
         background: renderer.background(),
         bounds: renderer.bounds(),
-        posterior_variance: Vec::new(),
         dropped: samples.is_dropped.iter().filter(|dropped| **dropped).count() as u64,
     };
-    Ok(weighted.view(probes, &[]))
+    Ok(weighted.view(probes))
 }

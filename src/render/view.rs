@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::probe::{WeightedRay, averages};
 use super::trace::TraceBuffers;
-use super::{CompositingWeights, DepthProbe, DepthVariance, Pixel, Probe, Tracer};
+use super::{CompositingWeights, Pixel, Probe, Tracer};
 use crate::geometry::{Aabb, Camera, MAX_PIXELS, Ray};
 use crate::monitor::{Monitor, check};
 use crate::{Error, Result};
@@ -24,14 +24,6 @@ pub struct RenderedView {
     pub spread: Vec<f64>,
     /// `[ray averages of all probes in order][height · width]`: ray averages of log10 U. NaN where nothing was hit.
     pub log10_uncertainty: Vec<Vec<f64>>,
-    /// `[variances of the depth probe][height · width]`: the variance of the expected depth under a posterior of
-    /// displacements, squared scene units; NaN where nothing was hit.
-    pub posterior_variance: Vec<Vec<f64>>,
-    /// The same with what the ray's weights leave open, and what moving matter does not explain: √(Var + s² + e²). Here
-    /// e² is [`DepthVariance::unexplained`] at the expected depth. A standard deviation of depth, scene units.
-    ///
-    /// [`DepthVariance::unexplained`]: super::DepthVariance::unexplained
-    pub depth_deviation: Vec<Vec<f64>>,
     /// Number of rays dropped because the field was not finite; they show the background.
     pub dropped: u64,
 }
@@ -71,22 +63,23 @@ pub fn render_view(
     probes: &[Probe],
     monitor: &dyn Monitor,
 ) -> Result<RenderedView> {
-    render(tracer, camera, pixel_offset, probes, None, monitor)
-}
-
-/// Same as [`render_view`], with the variance of every pixel's expected depth.
-///
-/// # Errors
-/// [`crate::Error::Interrupted`], or if the image is too large.
-pub fn render_view_with_depth(
-    tracer: &Tracer,
-    camera: &Camera,
-    pixel_offset: f64,
-    probes: &[Probe],
-    depth: &DepthProbe,
-    monitor: &dyn Monitor,
-) -> Result<RenderedView> {
-    render(tracer, camera, pixel_offset, probes, Some(depth), monitor)
+    check_size(camera)?;
+    let [width, height] = camera.resolution;
+    // A field that prefers many points at once gets several rows: a ray evaluates a few points at a time.
+    let together = tracer.field.batch().div_ceil(POINTS_PER_RAY * width.max(1) as usize).max(1);
+    let rows: Vec<u32> = (0..height).collect();
+    let rows: Vec<RenderedView> = rows
+        .par_chunks(together)
+        .map(|rows| {
+            check(monitor)?;
+            let ray = |row: u32, x: u32| camera.ray(f64::from(x) + pixel_offset, f64::from(row) + pixel_offset);
+            let rays: Vec<Ray> = rows.iter().flat_map(|&row| (0..width).map(move |x| ray(row, x))).collect();
+            let rendered = render_rays(tracer, &rays, probes);
+            monitor.advance(rows.len() as u64);
+            Ok(rendered)
+        })
+        .collect::<Result<_>>()?;
+    Ok(RenderedView::joined(camera.resolution, rows))
 }
 
 /// Refuses images that are too large.
@@ -99,58 +92,18 @@ pub fn check_size(camera: &Camera) -> Result<()> {
     Err(Error::setting("resolution", expected, format!("{width} x {height}")))
 }
 
-fn render(
-    tracer: &Tracer,
-    camera: &Camera,
-    pixel_offset: f64,
-    probes: &[Probe],
-    depth: Option<&DepthProbe>,
-    monitor: &dyn Monitor,
-) -> Result<RenderedView> {
-    check_size(camera)?;
-    let [width, height] = camera.resolution;
-    // A field that prefers many points at once gets several rows: a ray evaluates a few points at a time.
-    let together = tracer.field.batch().div_ceil(POINTS_PER_RAY * width.max(1) as usize).max(1);
-    let rows: Vec<u32> = (0..height).collect();
-    let rows: Vec<RenderedView> = rows
-        .par_chunks(together)
-        .map(|rows| {
-            check(monitor)?;
-            let ray = |row: u32, x: u32| camera.ray(f64::from(x) + pixel_offset, f64::from(row) + pixel_offset);
-            let rays: Vec<Ray> = rows.iter().flat_map(|&row| (0..width).map(move |x| ray(row, x))).collect();
-            let rendered = render_rays(tracer, &rays, probes, depth);
-            monitor.advance(rows.len() as u64);
-            Ok(rendered)
-        })
-        .collect::<Result<_>>()?;
-    Ok(RenderedView::joined(camera.resolution, rows))
-}
-
 impl RenderedView {
     /// The image of `resolution` pixels whose rows, one or several each, are `parts`.
     #[doc(hidden)]
     #[must_use]
     pub fn joined(resolution: [u32; 2], parts: Vec<Self>) -> Self {
-        let lists = |of: fn(&Self) -> &Vec<Vec<f64>>| vec![Vec::new(); parts.first().map_or(0, |part| of(part).len())];
-        let mut view = Self {
-            resolution,
-            log10_uncertainty: lists(|part| &part.log10_uncertainty),
-            posterior_variance: lists(|part| &part.posterior_variance),
-            depth_deviation: lists(|part| &part.depth_deviation),
-            ..Self::default()
-        };
+        let averages = parts.first().map_or(0, |part| part.log10_uncertainty.len());
+        let mut view = Self { resolution, log10_uncertainty: vec![Vec::new(); averages], ..Self::default() };
         for part in parts {
             view.pixels.extend(part.pixels);
             view.spread.extend(part.spread);
             view.dropped += part.dropped;
-            let lists = [
-                (&mut view.log10_uncertainty, part.log10_uncertainty),
-                (&mut view.posterior_variance, part.posterior_variance),
-                (&mut view.depth_deviation, part.depth_deviation),
-            ];
-            for (all, part) in lists {
-                all.iter_mut().zip(part).for_each(|(all, part)| all.extend(part));
-            }
+            view.log10_uncertainty.iter_mut().zip(part.log10_uncertainty).for_each(|(all, part)| all.extend(part));
         }
         view
     }
@@ -158,7 +111,7 @@ impl RenderedView {
 
 /// Renders single rays, as an image of one row.
 #[must_use]
-pub fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Option<&DepthProbe>) -> RenderedView {
+pub fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView {
     let background: DVec3 = tracer.background();
     let mut buffers = TraceBuffers::default();
     // The middle of every interval makes the image deterministic.
@@ -167,14 +120,12 @@ pub fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Optio
     let mut quadrature = CompositingWeights::default();
     quadrature.set(traced, tracer.marcher.step);
     let colors = tracer.visible_colors(rays, traced, &quadrature);
-    let mut posterior_variance = depth.map_or_else(Vec::new, |depth| depth.ask(tracer, rays, traced, &quadrature));
     let (mut samples, mut dropped) = (Vec::with_capacity(rays.len()), traced.dropped);
     for r in 0..rays.len() {
         let of_ray = traced.samples(r);
         let is_finite = colors[of_ray.clone()].iter().all(|color| color.is_finite());
         if !is_finite {
             dropped += 1;
-            posterior_variance.iter_mut().for_each(|variances| variances[r] = f64::NAN);
         }
         samples.push(if is_finite { of_ray } else { 0..0 });
     }
@@ -189,10 +140,9 @@ pub fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Optio
         thickness: vec![tracer.marcher.step.powi(2) / 12.0; rays.len()],
         background,
         bounds: tracer.marcher.bounds,
-        posterior_variance,
         dropped,
     };
-    weighted.view(probes, depth.map_or(&[], |depth| depth.variances))
+    weighted.view(probes)
 }
 
 /// Rays whose samples are weighted and coloured: all that an image of them needs.
@@ -215,23 +165,19 @@ pub struct WeightedRays<'a> {
     pub background: DVec3,
     /// The box in which depths lie.
     pub bounds: Aabb,
-    /// `[variances][rays]`: of each ray's expected depth.
-    pub posterior_variance: Vec<Vec<f64>>,
     /// Number of rays with values that are not finite.
     pub dropped: u64,
 }
 
 impl WeightedRays<'_> {
     /// The image of one row.
-    pub fn view(self, probes: &[Probe], of_depth: &[&dyn DepthVariance]) -> RenderedView {
+    pub fn view(self, probes: &[Probe]) -> RenderedView {
         let rays = self.rays;
         let mut row = RenderedView {
             resolution: [rays.len() as u32, 1],
             pixels: Vec::with_capacity(rays.len()),
             spread: Vec::with_capacity(rays.len()),
             log10_uncertainty: Vec::with_capacity(channels(probes)),
-            posterior_variance: self.posterior_variance,
-            depth_deviation: vec![Vec::with_capacity(rays.len()); of_depth.len()],
             dropped: self.dropped,
         };
         let mut weighted = Vec::with_capacity(rays.len());
@@ -246,13 +192,6 @@ impl WeightedRays<'_> {
                 spread: (pixel.depth_variance + self.thickness[r]).sqrt(),
             };
             row.spread.push(ray.spread);
-            for ((variances, out), variance) in
-                row.posterior_variance.iter().zip(&mut row.depth_deviation).zip(of_depth)
-            {
-                // Without a depth there is no point to query.
-                let unexplained = if variances[r].is_nan() { f64::NAN } else { variance.unexplained(ray.at_expected) };
-                out.push((variances[r] + ray.spread.powi(2) + unexplained).sqrt());
-            }
             weighted.push(ray);
         }
         for probe in probes {

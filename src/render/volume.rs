@@ -4,9 +4,9 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
-    CameraView, CompositingWeights, DepthProbe, DepthVariance, Differentiation, GradientMethod, ImagePoints,
-    JacobianBuffers, Outputs, Probe, RayBatch, RaySamples, RenderedView, Renderer, TraceBuffers, Tracer,
-    VisibleSegment, WeightedSamples, render_rays, render_view, render_view_with_depth,
+    CameraView, CompositingWeights, Differentiation, GradientMethod, ImagePoints, JacobianBuffers, Outputs, Probe,
+    RayBatch, RaySamples, RenderedView, Renderer, TraceBuffers, Tracer, VisibleSegment, WeightedSamples, render_rays,
+    render_view,
 };
 use crate::geometry::{Aabb, Camera, Ray};
 use crate::monitor::{Monitor, check};
@@ -20,7 +20,7 @@ pub const INSIDE_MATTER_SAMPLES: f64 = 4.0;
 pub struct VolumeRenderer<'a> {
     /// Field, sampling and background.
     pub tracer: Tracer<'a>,
-    /// Source of ∇σ and ∇c, for samples with Jacobians and for variances of depth.
+    /// Source of ∇σ and ∇c, for samples with Jacobians; images need none.
     pub differentiation: Option<Differentiation<'a>>,
 }
 
@@ -119,40 +119,28 @@ impl Renderer for VolumeRenderer<'_> {
         marcher.bounds.contains(camera.position.as_vec3()) && 2 * near >= sight.len().max(1)
     }
 
-    fn takes_variances(&self) -> bool {
-        self.differentiation.is_some()
-    }
-
     fn strided_image(
         &self,
         camera: &Camera,
         stride: u32,
         pixel_offset: f64,
         probes: &[Probe],
-        variances: &[&dyn DepthVariance],
         monitor: &dyn Monitor,
     ) -> Result<RenderedView> {
-        let camera = &camera.strided(stride, pixel_offset);
-        if variances.is_empty() {
-            return render_view(&self.tracer, camera, pixel_offset, probes, monitor);
-        }
-        let Some(differentiation) = self.differentiation else {
-            return Err(Error::setting("variances of depth", "a source of the density's gradient", "none"));
-        };
-        let depth = DepthProbe { differentiation, variances };
-        render_view_with_depth(&self.tracer, camera, pixel_offset, probes, &depth, monitor)
+        render_view(&self.tracer, &camera.strided(stride, pixel_offset), pixel_offset, probes, monitor)
     }
 
     fn points(&self, views: &[(Camera, Vec<[f64; 2]>)], monitor: &dyn Monitor) -> Result<RenderedView> {
         let rendered = views.par_chunks(self.together(views)).map(|views| {
             check(monitor)?;
             let rays = views.iter().flat_map(|(camera, points)| points.iter().map(|&[x, y]| camera.ray(x, y)));
-            Ok(render_rays(&self.tracer, &rays.collect::<Vec<Ray>>(), &[], None))
+            Ok(render_rays(&self.tracer, &rays.collect::<Vec<Ray>>(), &[]))
         });
         let parts = rendered.collect::<Result<Vec<RenderedView>>>()?;
         let points: usize = parts.iter().map(|part| part.pixels.len()).sum();
         Ok(RenderedView::joined([points as u32, 1], parts))
     }
+
     fn weighted(&self, views: &[(Camera, Vec<[f64; 2]>)], monitor: &dyn Monitor) -> Result<WeightedSamples> {
         let parts = views.par_chunks(self.together(views)).map(|views| {
             check(monitor)?;

@@ -20,10 +20,6 @@
 //! counted      u32        instead of `ray_coverage`: the counts themselves
 //! limits       u64        the regions' level, then region · 256 + limit
 //! errors       u16        error bars: number of groups, then bits of f16, errors of log10 σ_v, NaN where not known
-//! residual points u64     residuals: Morton codes of points of its lattice, ascending
-//! residuals    f32        mean square residual of training images around each of them
-//! color points u64        color spread: Morton codes of points of its lattice, ascending
-//! color spread f32        variance between training images of the colour around each of them
 //! ```
 //!
 //! A shard keeps exact sums and counts, so that shards merge to the sums of one run.

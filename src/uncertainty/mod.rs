@@ -8,7 +8,7 @@ mod baked;
 mod batch;
 mod by_vertex;
 mod compare;
-mod depth;
+mod correlation;
 mod file;
 mod layers;
 mod matrices;
@@ -39,8 +39,7 @@ pub use threshold::{NEARLY_ALL, ThresholdedField, is_certain, threshold_warning}
 #[doc(hidden)]
 pub use self::{
     by_vertex::{ByVertex, RayCounts, StandardDeviations, Stored},
-    depth::DepthPosterior,
-    layers::{ColorSpread, ColorSums, Conformal, ResidualSums, Residuals},
+    layers::Conformal,
     precision::{Added, Precision},
 };
 

@@ -1,7 +1,6 @@
 //! The numbers: against an independent oracle in f64, against symmetries of space, and within stated tolerances.
 
 mod compare;
-mod depth;
 mod laws;
 mod oracle;
 mod ray_coverage;

@@ -141,7 +141,7 @@ impl Clean<'_> {
     pub fn volume(&self, model: &dyn Model, cells: Cells) -> Result<CleanedVolume> {
         self.check_cameras()?;
         let field = model.field().ok_or_else(|| Error::setting("model", "a volume", model.kind()))?;
-        let renderer = model.for_images(&RaySettings::for_images(), None, self.monitor)?;
+        let renderer = model.for_images(&RaySettings::for_images(), self.monitor)?;
         let stride = stride_for(self.cameras.iter().map(Camera::pixels).sum(), self.pixels);
         let pixels =
             Views { cameras: self.cameras, masks: self.masks, pixel_offset: self.pixel_offset, stride, every: 1 };

@@ -326,7 +326,7 @@ impl Args {
         bars: &Bars,
     ) -> Result<Surfaces> {
         let offset = settings.offset_for(whole);
-        let renderer = shown.for_images(&settings, None, bars)?;
+        let renderer = shown.for_images(&settings, bars)?;
         let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
         surfaces(&*renderer, &cameras, offset, self.pixels, bars)
     }

@@ -10,7 +10,7 @@ use super::files::CommandFiles;
 use super::options::{ModelArgument, heading, numbers};
 use super::progress::Bars;
 use octobayes::{Error, Result};
-use octobayes_depth::{Length, Snapped, SurfacePoint, Trust};
+use octobayes_depth::{Length, SurfacePoint, Trust};
 
 /// Measure the distance of two points on surfaces, with its deviation
 ///
@@ -66,15 +66,18 @@ impl Args {
 
     fn measure(&self, look: &Look, points: [DVec3; 2], unit: Unit) -> Result<()> {
         let names = ["A", "B"];
-        let snap = |k: usize| on_surface(look, names[k], points[k], unit);
+        let name = |camera: usize| octobayes::error::printable(&look.frames[camera].name).to_string();
+        let snap = |k: usize| {
+            let (place, length) = (|x: DVec3| unit.place(x), |v: f64| unit.length(v));
+            look.surveyor.snap(points[k])?.surface(names[k], points[k], place, length, name)
+        };
         let ends = [snap(0)?, snap(1)?];
         let Length { length, deviation, correlation } = Length::between(&ends[0], &ends[1], look.field)?;
         let [length, deviation] = [length, deviation].map(|v| unit.factor * v);
-        let name = |end: &SurfacePoint| octobayes::error::printable(&look.frames[end.camera].name).to_string();
         if self.json {
             let point = |end: &SurfacePoint| {
                 json!({
-                    "position": (unit.factor * end.position).to_array(), "view": name(end), "sigma": unit.factor * end.deviation,
+                    "position": (unit.factor * end.position).to_array(), "view": name(end.camera), "sigma": unit.factor * end.deviation,
                     "trust": end.trust.name(),
                 })
             };
@@ -94,7 +97,7 @@ impl Args {
                 unit.length(moved),
                 unit.place(end.position),
                 unit.length(NINETY * end.deviation),
-                name(end)
+                name(end.camera)
             );
             if end.trust != Trust::Trusted {
                 announce!("warning: the depth of {} cannot be trusted: {}", names[k], end.trust);
@@ -102,29 +105,5 @@ impl Args {
         }
         let wide = NINETY * deviation;
         say!("{} {} ± {} (90 %)", figure(length, wide), unit.name(), figure(wide, wide))
-    }
-}
-
-/// The surface at a point, or why there is none.
-fn on_surface(look: &Look, name: &str, x: DVec3, unit: Unit) -> Result<SurfacePoint> {
-    let expected = "a point on a surface that a training camera sees";
-    match look.surveyor.snap(x)? {
-        Snapped::On(found) => Ok(found),
-        Snapped::Off(nearest, farther) => {
-            let far = farther.abs();
-            let side = if farther > 0.0 { "behind" } else { "in front of" };
-            let view = octobayes::error::printable(&look.frames[nearest.camera].name);
-            let found = format!(
-                "{}; the nearest surface lies {} {side} it, at {} in the view of {view}",
-                unit.place(x),
-                unit.length(far),
-                unit.place(nearest.position)
-            );
-            Err(Error::setting(name, expected, found))
-        }
-        Snapped::Unseen => {
-            let found = format!("{}, where no training camera sees anything", unit.place(x));
-            Err(Error::setting(name, expected, found))
-        }
     }
 }

@@ -25,9 +25,15 @@ pub struct Ranges {
     pub quantity: &'static str,
 }
 
-/// Colour, median depth and log10 U of a view. log10 U is hatched where no training ray reached what is shown, and grey
-/// outside the field's domain.
-pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges, unknown: &[Option<Unknown>]) -> Vec<Panel> {
+/// Colour, median depth, its deviation if that is there, and log10 U of a view. log10 U is hatched where no training ray
+/// reached what is shown, and grey outside the field's domain.
+pub fn view_panels(
+    view: &RenderedView,
+    deviation: Option<&[f64]>,
+    name: &str,
+    ranges: Ranges,
+    unknown: &[Option<Unknown>],
+) -> Vec<Panel> {
     let colors = view.pixels.iter().map(|p| p.color);
     let depths = view.pixels.iter().map(|p| if p.opacity > 0.5 { p.median_depth } else { f64::NAN });
     let depth_bar = Bar::new(ranges.depth, colorous::VIRIDIS);
@@ -35,14 +41,13 @@ pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges, unknown: &[O
         color_panel(&format!("{name}: colour"), view.resolution, colors),
         scalar_panel("median depth (scene units)", view.resolution, depths, depth_bar),
     ];
-    if let Some(deviation) = view.depth_deviation.first() {
-        let shown = deviation.iter().zip(&view.pixels).map(|(s, p)| if p.opacity > 0.5 { *s } else { f64::NAN });
+    if let Some(deviation) = deviation {
         let bar = Bar::new(ranges.error, colorous::CIVIDIS);
         let title = match ranges.conformal {
             Some(c) => format!("deviation of depth ({:.0} % of errors below {:.2} ×)", 100.0 * c.probability, c.factor),
             None => "deviation of depth (scene units)".into(),
         };
-        panels.push(scalar_panel(&title, view.resolution, shown, bar));
+        panels.push(scalar_panel(&title, view.resolution, deviation.iter().copied(), bar));
     }
     if let Some(log10) = view.log10_uncertainty.first() {
         // What was never seen has the colour of it, whatever lies in front of it or shines through.
@@ -64,11 +69,9 @@ pub fn depth_range<'a>(views: impl IntoIterator<Item = &'a RenderedView>) -> [f6
     if low < high { [low, high] } else { [0.0, 1.0] }
 }
 
-/// From 0 to the deviation of depth that 95 % of the pixels with matter (opacity above ½) stay below.
-pub fn error_range<'a>(views: impl IntoIterator<Item = &'a RenderedView>) -> [f64; 2] {
-    let of_view = |v: &'a RenderedView| v.depth_deviation.iter().flat_map(|errors| errors.iter().zip(&v.pixels));
-    let seen = views.into_iter().flat_map(of_view).filter(|(s, p)| p.opacity > 0.5 && s.is_finite());
-    let mut errors: Vec<f64> = seen.map(|(s, _)| *s).collect();
+/// From 0 to the deviation of depth that 95 % of the pixels that have one stay below.
+pub fn error_range<'a>(deviations: impl IntoIterator<Item = &'a Vec<f64>>) -> [f64; 2] {
+    let mut errors: Vec<f64> = deviations.into_iter().flatten().copied().filter(|s| s.is_finite()).collect();
     errors.sort_unstable_by(f64::total_cmp);
     [0.0, if errors.is_empty() { 1.0 } else { quantile(&errors, 0.95) }]
 }
@@ -92,7 +95,7 @@ mod tests {
             prior: 5.0,
             quantity: "log10 U",
         };
-        let panels = view_panels(&view, "x", ranges, &[None, None, None, Some(Unknown::Unseen)]);
+        let panels = view_panels(&view, None, "x", ranges, &[None, None, None, Some(Unknown::Unseen)]);
         let image = &panels.last().unwrap().image;
         let ends = [0, 255].map(|i| colorous::INFERNO.eval_rational(i, 256).as_array());
         // The last pixel lies between two lines of the hatching.

@@ -269,7 +269,7 @@ fn contents_that_no_run_writes_are_refused() {
     let lambda = format!("\"lambda\":{}", serde_json::json!(samples::fields()[0].record().lambda));
     // Kind, sample, part, change, what the message names.
     type Change<'a> = &'a dyn Fn(&mut Vec<u8>);
-    let cases: [(Kind, usize, usize, Change, &str); 27] = [
+    let cases: [(Kind, usize, usize, Change, &str); 23] = [
         // A mask too many, and too few deviations.
         (Kind::Field, 0, 1, &|masks| masks.push(0), "masks"),
         (Kind::Field, 0, 2, &|deviations| deviations.truncate(40), "deviations"),
@@ -319,12 +319,6 @@ fn contents_that_no_run_writes_are_refused() {
         // Error bars that are negative, and error bars of one group.
         (Kind::Field, 6, 10, &|errors| errors[3] = 0x80, "errors"),
         (Kind::Field, 6, 10, &|errors| errors[..2].copy_from_slice(&[1, 0]), "errors"),
-        // Residuals that are not finite, and of a vertex that is not there.
-        (Kind::Field, 9, 12, &|residuals| residuals[..4].fill(0xff), "residuals"),
-        (Kind::Field, 9, 12, &|residuals| residuals.truncate(4), "residuals"),
-        // The same of the colours.
-        (Kind::Field, 9, 14, &|spread| spread[..4].fill(0xff), "color spread"),
-        (Kind::Field, 9, 14, &|spread| spread.truncate(4), "color spread"),
         // A run with something behind it.
         (Kind::Checkpoint, 0, 1, &|run| run.push(0), "`run`"),
         // Keys of vertices: so coarse that a shift by their levels overflows, then coarse and outside.

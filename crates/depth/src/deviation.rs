@@ -1,22 +1,24 @@
 //! How far the depth of a pixel may be off: a standard deviation.
 //!
-//! Letters: s the spread of the ray's weights ([`RenderedView::spread`]); t the expected depth; U the uncertainty
-//! there, and h the edge of a cube that has the volume of a finest cell there; b how far from the median depth the
-//! training images agree best ([`Sweep`]), with half a step for what a sweep cannot tell apart; e pixels to an edge of
-//! the depth map; k a factor of the kind of model.
+//! Letters: s the spread of the ray's weights ([`RenderedView::spread`]); t the median depth; U the uncertainty at the
+//! expected depth, and h the edge of a cube that has the volume of a finest cell there; b how far from the median depth
+//! the training images agree best ([`Sweep`]), with half a step for what a sweep cannot tell apart; e pixels to an edge
+//! of the depth map; p the width of a pixel of the training images at the depth t; k a factor of the kind of model.
 //!
-//! - From the field alone: σ = k √(s U′).
-//! - With the training images: σ = k s^0.34 U′^0.48 b^0.18 (1 + e)^−0.09.
+//! σ² = σ₀² + (p / 2)², as images do not fix a depth better than to a part of a pixel, however sure the model is, and
+//!
+//! - from the field alone: σ₀ = k √(s U′).
+//! - With the training images: σ₀ = k s^0.34 U′^0.48 b^0.18 (1 + e)^−0.09.
 //!
 //! U′ = U (200 h / t)^(3/2) is U for cells as wide as 1/200 of the distance, about a pixel of the images on which the
 //! factors were fitted: a vertex gathers the rays of a volume, so that U is proportional to h^(−3/2) where images
 //! determine it. There σ hardly depends on the level and on the size of the box. The exponents of lengths add up to
 //! one, so that σ has the unit of the scene whatever that is. They were fitted by the likelihood of errors on two
-//! meshes, and hold on others, where σ ranks errors better than √(Var + s²) does; on lego and a kitchen σ is too small
+//! meshes, and hold on others, where σ ranks errors better than the default does; on lego and a kitchen σ is too small
 //! (`experiments/depth.md`).
 
 use glam::{DMat3, DVec3, Vec3};
-use octobayes::geometry::Camera;
+use octobayes::geometry::{Camera, Ray};
 use octobayes::monitor::Monitor;
 use octobayes::posterior::Scale;
 use octobayes::render::{Pixel, RenderedView, Renderer};
@@ -39,25 +41,35 @@ pub const DEPTH_JUMP: f64 = 0.025;
 const EXPONENTS: [f64; 4] = [0.34, 0.48, 0.18, -0.09];
 
 /// k of volumes and of other models: from the field alone, and with the training images.
-const FACTORS: [[f64; 2]; 2] = [[1.2, 1.4], [0.95, 1.1]];
+const FACTORS: [[f64; 2]; 2] = [[1.1, 1.25], [0.85, 1.0]];
 
 /// How far depths of a model may be off.
 pub struct DepthDeviation<'a> {
     field: &'a BakedField<'a>,
     images: Option<Sweep<'a>>,
+    pixel: f64,
+}
+
+/// Angle of a pixel of some cameras, the median; 0 without any.
+#[must_use]
+pub fn pixel_angle(cameras: &[Camera]) -> f64 {
+    let mut angles: Vec<f64> = cameras.iter().map(|camera| 1.0 / camera.focal[0].min(camera.focal[1])).collect();
+    angles.sort_unstable_by(f64::total_cmp);
+    angles.get(angles.len() / 2).copied().unwrap_or(0.0)
 }
 
 impl<'a> DepthDeviation<'a> {
-    /// Deviations by a field, and by training images if they are there.
+    /// Deviations by a field, and by training images if they are there. `pixel` is the [angle](pixel_angle) of a pixel
+    /// of the training cameras.
     ///
     /// # Errors
     /// If the field is in the paper's scale, in which deviations are no lengths.
-    pub fn new(field: &'a BakedField<'a>, images: Option<Sweep<'a>>) -> Result<Self> {
+    pub fn new(field: &'a BakedField<'a>, images: Option<Sweep<'a>>, pixel: f64) -> Result<Self> {
         let Scale::Data(_) = field.field().record().scale else {
             let expected = "a field in the scale of its data, in which U is a length (`uncertainty --for depth`)";
             return Err(Error::setting("scale", expected, "one in the paper's scale"));
         };
-        Ok(Self { field, images })
+        Ok(Self { field, images, pixel })
     }
 
     /// Whether training images are counted.
@@ -80,19 +92,33 @@ impl<'a> DepthDeviation<'a> {
         monitor: &dyn Monitor,
     ) -> Result<Vec<f64>> {
         let terms = self.terms(renderer, camera, pixel_offset, view, monitor)?;
-        Ok(self.of_terms(renderer, &terms))
+        Ok(self.of_terms(renderer, &terms, view))
+    }
+
+    /// `[rays]`: σ of the median depth of single rays, rendered as one row, from the field alone; NaN as in views.
+    #[must_use]
+    pub fn of_rays(&self, renderer: &dyn Renderer, rays: &[Ray], view: &RenderedView) -> Vec<f64> {
+        let u = self.uncertainty_of_cells(renderer, |i| rays[i], view);
+        let terms = |(i, pixel): (usize, &Pixel)| {
+            if pixel.opacity > 0.5 { [view.spread[i], u[i], f64::NAN, f64::NAN] } else { [f64::NAN; 4] }
+        };
+        let terms: Vec<[f64; 4]> = view.pixels.iter().enumerate().map(terms).collect();
+        Self { images: None, ..*self }.of_terms(renderer, &terms, view)
     }
 
     /// σ from [terms](Self::terms).
     #[doc(hidden)]
     #[must_use]
-    pub fn of_terms(&self, renderer: &dyn Renderer, terms: &[[f64; 4]]) -> Vec<f64> {
+    pub fn of_terms(&self, renderer: &dyn Renderer, terms: &[[f64; 4]], view: &RenderedView) -> Vec<f64> {
         let [alone, with_images] = FACTORS[usize::from(renderer.marched().is_none())];
-        let sigma = |terms: &[f64; 4]| match self.images {
-            None => alone * (terms[0] * terms[1]).sqrt(),
-            Some(_) => with_images * (0..4).map(|k| terms[k].powf(EXPONENTS[k])).product::<f64>(),
+        let sigma = |(terms, pixel): (&[f64; 4], &Pixel)| {
+            let of_model = match self.images {
+                None => alone * (terms[0] * terms[1]).sqrt(),
+                Some(_) => with_images * (0..4).map(|k| terms[k].powf(EXPONENTS[k])).product::<f64>(),
+            };
+            of_model.hypot(0.5 * self.pixel * pixel.median_depth)
         };
-        terms.iter().map(sigma).collect()
+        terms.iter().zip(&view.pixels).map(sigma).collect()
     }
 
     /// `[height · width]`: s, U′, b and 1 + e; b and e are left out without training images. NaN where more than half
@@ -109,13 +135,34 @@ impl<'a> DepthDeviation<'a> {
         view: &RenderedView,
         monitor: &dyn Monitor,
     ) -> Result<Vec<[f64; 4]>> {
-        let (width, bounds) = (view.resolution[0] as usize, renderer.bounds());
-        let expected = |(i, pixel): (usize, &Pixel)| {
+        let width = view.resolution[0] as usize;
+        let ray = |i: usize| {
             let [x, y] = [i % width, i / width].map(|n| n as f64 + pixel_offset);
-            bounds.clamp(camera.ray(x, y).at(pixel.expected_depth).as_vec3())
+            camera.ray(x, y)
         };
+        let u = self.uncertainty_of_cells(renderer, ray, view);
+        let agreement = self.images.map(|sweep| sweep.of_view(camera, pixel_offset, view, monitor)).transpose()?;
+        let edges = self.images.map(|_| pixels_to_edge(view, DEPTH_JUMP));
+        let of = |(i, pixel): (usize, &Pixel)| {
+            if pixel.opacity <= 0.5 {
+                return [f64::NAN; 4];
+            }
+            let b = agreement.as_ref().map_or(f64::NAN, |b| b[i] + 0.5 * Sweep::STEP * pixel.median_depth);
+            [view.spread[i], u[i], b, edges.as_ref().map_or(f64::NAN, |edges| 1.0 + f64::from(edges[i]))]
+        };
+        Ok(view.pixels.iter().enumerate().map(of).collect())
+    }
+
+    /// `[rays]`: U′ at the expected depth of every ray of a view.
+    fn uncertainty_of_cells(
+        &self,
+        renderer: &dyn Renderer,
+        ray: impl Fn(usize) -> Ray,
+        view: &RenderedView,
+    ) -> Vec<f64> {
+        let bounds = renderer.bounds();
+        let expected = |(i, pixel): (usize, &Pixel)| bounds.clamp(ray(i).at(pixel.expected_depth).as_vec3());
         let points: Vec<Vec3> = view.pixels.iter().enumerate().map(expected).collect();
-        let found = self.field.query_all(&points);
         let lattice = self.field.field().lattice();
         let (domain, cells) = (lattice.domain(), f64::from(lattice.cells_per_axis()));
         // The edge of a cube of a cell's volume: the unit cube has cells of one size, and Φ maps the scene to it.
@@ -123,17 +170,11 @@ impl<'a> DepthDeviation<'a> {
             let [i, j, k] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| domain.pull_back(x, axis));
             1.0 / (cells * DMat3::from_cols(i, j, k).determinant().abs().cbrt())
         };
-        let agreement = self.images.map(|sweep| sweep.of_view(camera, pixel_offset, view, monitor)).transpose()?;
-        let edges = self.images.map(|_| pixels_to_edge(view, DEPTH_JUMP));
-        let of = |(i, pixel): (usize, &Pixel)| {
-            if pixel.opacity <= 0.5 {
-                return [f64::NAN; 4];
-            }
-            let u = found[i].uncertainty * (CELLS * cell(points[i]) / pixel.expected_depth).powf(1.5);
-            let b = agreement.as_ref().map_or(f64::NAN, |b| b[i] + 0.5 * Sweep::STEP * pixel.median_depth);
-            [view.spread[i], u, b, edges.as_ref().map_or(f64::NAN, |edges| 1.0 + f64::from(edges[i]))]
+        let found = self.field.query_all(&points);
+        let u = |(i, pixel): (usize, &Pixel)| {
+            found[i].uncertainty * (CELLS * cell(points[i]) / pixel.median_depth).powf(1.5)
         };
-        Ok(view.pixels.iter().enumerate().map(of).collect())
+        view.pixels.iter().enumerate().map(u).collect()
     }
 }
 
@@ -196,9 +237,9 @@ mod tests {
         let marcher = Marcher { step: ball.suggested_step(), bounds: ball.bounds(), occupancy: None, cutoff: 0.0 };
         let tracer = Tracer { field: &ball, marcher, background: Vec3::ONE };
         let renderer = VolumeRenderer { tracer, differentiation: None };
-        let view = renderer.image(&cameras[3], 0.5, &[], &[], &Silent).unwrap();
+        let view = renderer.image(&cameras[3], 0.5, &[], &Silent).unwrap();
         let baked = BakedField::unbaked(&field);
-        let deviation = DepthDeviation::new(&baked, None).unwrap();
+        let deviation = DepthDeviation::new(&baked, None, pixel_angle(&cameras)).unwrap();
         deviation.of_view(&renderer, &cameras[3], 0.5, &view, &Silent).unwrap()
     }
 
@@ -229,7 +270,7 @@ mod tests {
         let field = Estimation::new(&ball, &cameras).rays(rays).grid(GridSettings::default().level(4)).run();
         let field = field.unwrap().field;
         let baked = BakedField::unbaked(&field);
-        let refused = DepthDeviation::new(&baked, None).err().unwrap().to_string();
+        let refused = DepthDeviation::new(&baked, None, 0.0).err().unwrap().to_string();
         assert!(refused.contains("the scale of its data"), "{refused}");
     }
 }

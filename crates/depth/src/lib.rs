@@ -8,14 +8,12 @@ mod edges;
 mod measure;
 mod photographs;
 mod sweep;
-mod training_images;
 mod training_views;
 mod trust;
 
-pub use deviation::{DEPTH_JUMP, DepthDeviation, LEVEL};
-pub use measure::{Length, Snapped, SurfacePoint, Surveyor};
-pub use photographs::Photograph;
+pub use deviation::{DEPTH_JUMP, DepthDeviation, LEVEL, pixel_angle};
+pub use measure::{Length, Snapped, SurfacePoint, SurveyedView, Surveyor};
+pub use photographs::{Photograph, find_images};
 pub use sweep::Sweep;
-pub use training_images::{Compared, TrainingImage, TrainingImages, compare_images};
 pub use training_views::{CONFIRMING_VIEWS, Sighting, TrainingViews};
 pub use trust::Trust;

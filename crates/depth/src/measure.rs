@@ -2,8 +2,8 @@
 
 use glam::DVec3;
 use octobayes::geometry::Camera;
-use octobayes::monitor::Silent;
-use octobayes::render::{DepthSample, DepthVariance, RenderedView, Renderer};
+use octobayes::monitor::{Monitor, Silent};
+use octobayes::render::{RenderedView, Renderer};
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
 
@@ -26,6 +26,19 @@ pub struct Surveyor<'a> {
     pub deviation: &'a DepthDeviation<'a>,
     /// Where in a pixel rays pass.
     pub pixel_offset: f64,
+}
+
+/// What a training camera sees, pixel by pixel.
+#[derive(Debug, Clone)]
+pub struct SurveyedView {
+    /// A camera with exactly these pixels.
+    pub camera: Camera,
+    /// The model's image.
+    pub rendered: RenderedView,
+    /// `[height · width]`: deviation of the median depth along the ray, scene units; NaN where nothing is shown.
+    pub sigma: Vec<f64>,
+    /// `[height · width]`: whether the depth can be trusted.
+    pub trust: Vec<Trust>,
 }
 
 /// A point on a surface that a training camera sees.
@@ -69,6 +82,20 @@ pub struct Length {
 }
 
 impl Surveyor<'_> {
+    /// Every `stride`-th pixel along x and y of what camera `i` sees. Advances the monitor by one per row, and once more
+    /// if the deviation has images.
+    ///
+    /// # Errors
+    /// If the model cannot render the camera, or [`Error::Interrupted`].
+    pub fn view(&self, i: usize, stride: u32, monitor: &dyn Monitor) -> Result<SurveyedView> {
+        let (whole, offset) = (&self.cameras[i], self.pixel_offset);
+        let rendered = self.renderer.strided_image(whole, stride, offset, &[], monitor)?;
+        let camera = whole.strided(stride, offset);
+        let sigma = self.deviation.of_view(self.renderer, &camera, offset, &rendered, monitor)?;
+        let trust = Trust::of_view(self.training, &camera, offset, &rendered, Some(i));
+        Ok(SurveyedView { camera, rendered, sigma, trust })
+    }
+
     /// Moves a point along a view of it to the surface that the view shows. Of the training views that show one there,
     /// within a [jump](DEPTH_JUMP), the one of the smallest deviation counts.
     ///
@@ -128,23 +155,49 @@ impl Surveyor<'_> {
     }
 }
 
+impl Snapped {
+    /// The surface; an error that says where the nearest is if there is none. `name` is that of the point at `x`;
+    /// `place`, `length` and `view` say of a place, a length and a camera what people know them by.
+    ///
+    /// # Errors
+    /// If there is no surface.
+    pub fn surface(
+        self,
+        name: &str,
+        x: DVec3,
+        place: impl Fn(DVec3) -> String,
+        length: impl Fn(f64) -> String,
+        view: impl Fn(usize) -> String,
+    ) -> Result<SurfacePoint> {
+        let found = match self {
+            Self::On(found) => return Ok(found),
+            Self::Off(nearest, farther) => {
+                let side = if farther > 0.0 { "behind" } else { "in front of" };
+                format!(
+                    "{}; the nearest surface lies {} {side} it, at {} in the view of {}",
+                    place(x),
+                    length(farther.abs()),
+                    place(nearest.position),
+                    view(nearest.camera)
+                )
+            }
+            Self::Unseen => format!("{}, where no training camera sees anything", place(x)),
+        };
+        Err(Error::setting(name, "a point on a surface that a training camera sees", found))
+    }
+}
+
 impl Length {
     /// The length between two points. Errors are along the views that determine the points, and correlated as the
     /// displacements of the field there are, through the vertices that they share; across the views they are a pixel's:
-    /// σ² = (σ₁ c₁)² + (σ₂ c₂)² − 2 ρ σ₁ c₁ σ₂ c₂ + (p₁² + p₂²) / 12, where c is the cosine between a view and the line.
+    /// σ² = (σ₁ c₁)² + (σ₂ c₂)² − 2 ρ σ₁ c₁ σ₂ c₂ + (p₁² + p₂²) / 12, where c is the cosine between a view and the line,
+    /// and ρ the [correlation](UncertaintyField::correlation) times the cosine between the views.
     ///
     /// # Errors
-    /// If the field is in the paper's scale, or a deviation is not finite.
+    /// If a deviation is not finite.
     pub fn between(a: &SurfacePoint, b: &SurfacePoint, field: &UncertaintyField) -> Result<Self> {
-        let posterior = field.depth_posterior()?;
-        let sample =
-            |point: &SurfacePoint| DepthSample { position: point.position.as_vec3(), gradient: point.direction };
-        let samples = [sample(a), sample(b)];
-        let [of_a, of_b, of_sum] =
-            [&samples[..1], &samples[1..], &samples[..]].map(|samples| posterior.variance(samples));
-        let product = of_a * of_b;
-        let correlation =
-            if product > 0.0 { (0.5 * (of_sum - of_a - of_b) / product.sqrt()).clamp(-1.0, 1.0) } else { 0.0 };
+        let shared = field.correlation(a.position.as_vec3(), b.position.as_vec3());
+        let correlation = shared * a.direction.dot(b.direction).clamp(-1.0, 1.0);
         let line = (b.position - a.position).normalize_or_zero();
         let [along_a, along_b] = [a, b].map(|point| point.deviation * point.direction.dot(line));
         let across = (a.pixel * a.pixel + b.pixel * b.pixel) / 12.0;

@@ -1,10 +1,13 @@
 //! Training images, for colours between pixels.
 
-use glam::DVec3;
+use std::path::Path;
 
-use octobayes::Result;
+use glam::DVec3;
 use octobayes::geometry::{Camera, Mask};
-use octobayes_data::{Frame, PosedImage, read_masks};
+use octobayes::monitor::{Monitor, check};
+use octobayes::{Error, Result};
+use octobayes_data::{Frame, PosedImage, each_has_its_own, image_path, read_masks};
+use rayon::prelude::*;
 
 /// A training image, small enough to be kept in memory beside all others.
 #[derive(Debug, Clone)]
@@ -21,6 +24,28 @@ pub struct Photograph {
 impl Photograph {
     /// Longest side that is kept, pixels.
     pub const SIDE: u32 = 512;
+
+    /// Reads the images and masks of frames. A stage of its own for the monitor.
+    ///
+    /// # Errors
+    /// As [`Photograph::read`], or [`Error::Interrupted`].
+    pub fn read_all(
+        frames: &[Frame],
+        background: DVec3,
+        pixel_offset: f64,
+        monitor: &dyn Monitor,
+    ) -> Result<Vec<Self>> {
+        monitor.begin("training images", frames.len() as u64);
+        let read = |frame: &Frame| {
+            check(monitor)?;
+            let photograph = Self::read(frame, background, pixel_offset)?;
+            monitor.advance(1);
+            Ok(photograph)
+        };
+        let photographs = frames.par_iter().map(read).collect::<Result<_>>()?;
+        monitor.end();
+        Ok(photographs)
+    }
 
     /// Reads the image and the mask of a frame.
     ///
@@ -78,6 +103,28 @@ impl Photograph {
             upper + v * (lower - upper)
         }))
     }
+}
+
+/// The frames with their images below a folder, found by their names.
+///
+/// # Errors
+/// If an image is missing, or if two frames have one.
+pub fn find_images(folder: &Path, frames: &[Frame]) -> Result<Vec<Frame>> {
+    let find = |frame: &Frame| {
+        // COLMAP's names start from the folder of the images, those of a transforms.json from its own.
+        let places = [folder, &folder.join("images")].map(|folder| image_path(folder, &frame.name));
+        let image = places.iter().find(|path| path.is_file()).cloned().ok_or_else(|| {
+            let expected = "the folder from which the names of the training images start";
+            let [place, other] = &places;
+            let found = format!("neither {} nor {}", place.display(), other.display());
+            Error::malformed(folder, "training images", expected, found)
+        })?;
+        Ok(Frame { image, ..frame.clone() })
+    };
+    let found = frames.iter().map(find).collect::<Result<Vec<Frame>>>()?;
+    let images = found.iter().map(|frame| (&*frame.name, frame.image.as_path()));
+    each_has_its_own(folder, "training images", images, |_| true)?;
+    Ok(found)
 }
 
 #[cfg(test)]

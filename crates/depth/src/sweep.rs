@@ -139,7 +139,7 @@ mod tests {
         let cameras = [-0.5, -0.25, 0.0, 0.25, 0.5].map(camera);
         let views = TrainingViews::render(&model, &cameras, 0.5, &Silent).unwrap();
         let photograph = |camera: &Camera, grey: bool| {
-            let shown = model.image(camera, 0.5, &[], &[], &Silent).unwrap();
+            let shown = model.image(camera, 0.5, &[], &Silent).unwrap();
             let color = |v: f64| if grey { 100 } else { (255.0 * v).round() as u8 };
             let pixel = |pixel: &octobayes::render::Pixel| {
                 let [r, g, b] = pixel.color.to_array().map(color);
@@ -150,7 +150,7 @@ mod tests {
         };
         let photographs: Vec<Photograph> = cameras.iter().map(|camera| photograph(camera, false)).collect();
         let between = camera(0.1);
-        let shown = model.image(&between, 0.5, &[], &[], &Silent).unwrap();
+        let shown = model.image(&between, 0.5, &[], &Silent).unwrap();
         // Pixels that show the front of the ball.
         let front: Vec<usize> = (0..(SIDE * SIDE) as usize)
             .filter(|&i| shown.pixels[i].opacity > 0.99 && shown.pixels[i].median_depth < 2.7)

@@ -58,7 +58,7 @@ impl TrainingViews {
         };
         let view = |camera: &Camera| {
             let (camera, stride) = at_size(camera);
-            let rendered = model.strided_image(&camera, stride, pixel_offset, &[], &[], monitor)?;
+            let rendered = model.strided_image(&camera, stride, pixel_offset, &[], monitor)?;
             let camera = camera.strided(stride, pixel_offset);
             let depth = |pixel: &Pixel| {
                 if pixel.opacity > 0.5 { pixel.median_depth as f32 } else { f32::INFINITY }
@@ -184,7 +184,7 @@ mod tests {
         // Where the rays through the middle of the pictures meet the ball.
         let hit = |towards: DVec3| {
             let camera = from(3.0 * towards);
-            let view = model.image(&camera, 0.5, &[], &[], &Silent).unwrap();
+            let view = model.image(&camera, 0.5, &[], &Silent).unwrap();
             camera.ray(32.5, 32.5).at(view.pixels[32 * 64 + 32].median_depth)
         };
         let front = views.sighting(hit(DVec3::X));

@@ -124,7 +124,7 @@ pub fn clean_up(
         let view = |truth: &TrueView| {
             check(monitor)?;
             match left {
-                Some(left) => left.strided_image(&truth.whole, truth.stride, truth.pixel_offset, &[], &[], monitor),
+                Some(left) => left.strided_image(&truth.whole, truth.stride, truth.pixel_offset, &[], monitor),
                 None => Ok(empty_view(truth, whole)),
             }
         };

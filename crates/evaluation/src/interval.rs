@@ -1,7 +1,7 @@
 //! Split conformal prediction on evaluated views.
 
 use super::{EvaluatedView, Evaluator, Measure};
-use crate::metrics::{ErrorDensity, conformal_factor};
+use crate::metrics::{conformal_factor, normal};
 use octobayes::uncertainty::Conformal;
 
 /// An interval of depth, calibrated on some views.
@@ -9,7 +9,7 @@ use octobayes::uncertainty::Conformal;
 pub struct Interval {
     /// The interval.
     pub conformal: Conformal,
-    /// Half width without calibration, from [`ErrorDensity::PREDICTIVE`], in deviations.
+    /// Half width without calibration, if errors are normal, in deviations.
     #[serde(rename = "predicted_factor")]
     pub predicted: f64,
     /// Share of a view's errors inside the interval that all other views give: smallest, median and largest over the
@@ -19,7 +19,7 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// Calibrates the deviation of depth of the evaluator's first posterior.
+    /// Calibrates the deviation of depth by the first field that has one, without training images.
     ///
     /// `None` if there is none, or if the pixels are too few for this probability.
     #[must_use]
@@ -54,7 +54,7 @@ impl Interval {
             .collect();
         shares.sort_unstable_by(f64::total_cmp);
         let at = |share: f64| octobayes::metrics::quantile(&shares, share);
-        let predicted = ErrorDensity::PREDICTIVE.deviations(probability);
+        let predicted = normal::deviations(probability);
         Some(Self { conformal, predicted, left_out: [at(0.0), at(0.5), at(1.0)] })
     }
 }

@@ -1,6 +1,6 @@
 //! One evaluation, from its inputs to its report.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::kinds::JUMP;
 use super::training_cameras::training_cameras;
@@ -18,9 +18,10 @@ use octobayes::geometry::{Aabb, Camera, Domain, NamedCamera};
 use octobayes::metrics::quantile;
 use octobayes::monitor::{Message, Monitor};
 use octobayes::render::RenderedView;
+use octobayes::uncertainty::BakedField;
 use octobayes::{Error, Result};
 use octobayes_data::{DepthKind, DepthReadings, Frame, FrameSplit, LargestDepth, Part, Selection, Views};
-use octobayes_depth::TrainingViews;
+use octobayes_depth::{DepthDeviation, Photograph, TrainingViews, find_images, pixel_angle};
 
 /// What else may be wrong if depths are.
 const CAUSES: &str = "likely causes: --depth-encoding, --z-depth, or units of the cameras";
@@ -56,6 +57,8 @@ pub struct Evaluation<'a> {
     pub object_masks: Option<PathBuf>,
     /// Folder of the true depth of the training frames, with names and values as in `depth`.
     pub training_depth: Option<PathBuf>,
+    /// Folder of the training images, if deviations of depth are to count them, too.
+    pub images: Option<PathBuf>,
     /// Share of errors that an interval of depth is to hold, if one is wanted.
     pub calibrate: Option<f64>,
     /// Whether density, or splats, are removed above [`THRESHOLDS`].
@@ -76,6 +79,8 @@ pub struct Prepared<'a> {
     pub depth: Option<FramesWithDepth>,
     /// The true depth of the training frames.
     pub training_depth: Option<FramesWithDepth>,
+    /// The training frames with their images.
+    pub images: Option<Vec<Frame>>,
     /// How many frames are used, and why the others are not.
     pub used: String,
     /// What is odd about the inputs.
@@ -104,7 +109,11 @@ impl<'a> Evaluation<'a> {
     #[must_use]
     pub fn judges_depth(&self) -> bool {
         let DepthFiles { folder, scale, kind, .. } = &self.depth;
-        let has_maps = folder.is_some() || scale.is_some() || *kind == DepthKind::Z || self.training_depth.is_some();
+        let has_maps = folder.is_some()
+            || scale.is_some()
+            || *kind == DepthKind::Z
+            || self.training_depth.is_some()
+            || self.images.is_some();
         !self.clean_up || has_maps || self.curves || self.calibrate.is_some() || !self.ensemble.is_empty()
     }
 
@@ -117,7 +126,7 @@ impl<'a> Evaluation<'a> {
     pub fn prepare(self, views: Views) -> Result<Prepared<'a>> {
         self.ensemble.iter().try_for_each(|(name, member)| check_member(name, *member, self.model))?;
         if let (Some(_), Some(first)) = (self.calibrate, self.readings.first()) {
-            first.field.depth_posterior()?;
+            DepthDeviation::new(&BakedField::unbaked(&first.field), None, 0.0)?;
         }
         let all = views.frames.clone();
         let wanted = self.readings.first().and_then(|reading| reading.field.record().cameras_checksum);
@@ -157,10 +166,25 @@ impl<'a> Evaluation<'a> {
                         which depths training views confirm is left out";
             remarks.push(Message::Note(text.into()));
         }
-        let maps = |folder: &PathBuf| self.training_maps(folder, &training);
+        let maps = |folder: &PathBuf| {
+            let frames = self.training_frames("--training-depth", &training)?;
+            DepthFiles { folder: Some(folder.into()), ..self.depth.clone() }.find(folder, &frames, &frames)
+        };
         let training_depth = self.training_depth.as_ref().map(maps).transpose()?;
+        let find = |folder: &PathBuf| find_images(folder, &self.training_frames("--images", &training)?);
+        let images = self.images.as_ref().map(find).transpose()?;
         let used = split.describe(Part::HeldOut, &frames);
-        Ok(Prepared { evaluation: self, frames, training, trained_on: known, depth, training_depth, used, remarks })
+        Ok(Prepared {
+            evaluation: self,
+            frames,
+            training,
+            trained_on: known,
+            depth,
+            training_depth,
+            images,
+            used,
+            remarks,
+        })
     }
 
     /// The frames with masks of the object: all of them or none.
@@ -198,18 +222,17 @@ impl<'a> Evaluation<'a> {
         })
     }
 
-    /// The frames that the model was trained on, with their depth maps.
-    fn training_maps(&self, folder: &Path, cameras: &[NamedCamera]) -> Result<FramesWithDepth> {
+    /// The frames that the model was trained on, whose files `option` names.
+    fn training_frames(&self, option: &'static str, cameras: &[NamedCamera]) -> Result<Vec<Frame>> {
         if cameras.is_empty() {
             let expected = if self.model.stores_cameras() {
                 "a model that stores its training cameras, such as those of `train`"
             } else {
                 "the field's training cameras in a camera file beside the splats or --cameras"
             };
-            return Err(Error::setting("--training-depth", expected, self.model.describe()));
+            return Err(Error::setting(option, expected, self.model.describe()));
         }
-        let frames: Vec<Frame> = cameras.iter().map(|named| Frame::new(named.camera, &named.name, "")).collect();
-        DepthFiles { folder: Some(folder.into()), ..self.depth.clone() }.find(folder, &frames, &frames)
+        Ok(cameras.iter().map(|named| Frame::new(named.camera, &named.name, "")).collect())
     }
 }
 
@@ -278,18 +301,21 @@ impl Prepared<'_> {
         let truly_seen =
             self.training_depth.as_ref().map(|found| truly_seen(found, &meaning(found), offset, monitor, tell));
         let truly_seen = truly_seen.transpose()?;
-        let lattice = readings.first().map(|reading| reading.field.lattice());
-        let shown = model.for_images(settings, lattice, monitor)?;
+        let shown = model.for_images(settings, monitor)?;
         let cameras: Vec<Camera> = self.training.iter().map(|named| named.camera).collect();
         let knows_cameras = self.depth.is_some() && !cameras.is_empty();
         let training = || TrainingViews::render(&*shown, &cameras, offset, monitor);
         let training = knows_cameras.then(training).transpose()?;
+        let read = |frames: &Vec<Frame>| Photograph::read_all(frames, shown.background(), offset, monitor);
+        let photographs = self.images.as_ref().filter(|_| knows_cameras).map(read).transpose()?;
         let members = self.evaluation.ensemble.iter();
-        let members = members.map(|(_, member)| member.for_images(settings, None, monitor));
+        let members = members.map(|(_, member)| member.for_images(settings, monitor));
         let members = members.collect::<Result<Vec<_>>>()?;
         let evaluator = Evaluator {
             members: members.iter().map(AsRef::as_ref).collect(),
             training: training.as_ref(),
+            photographs: photographs.as_deref(),
+            pixel: (!cameras.is_empty()).then(|| pixel_angle(&cameras)),
             truly_seen: truly_seen.as_ref(),
             ..Evaluator::new(&*shown, readings)
         };
@@ -334,7 +360,8 @@ impl Prepared<'_> {
         let kind = depth.map(|depth| depth.encoding.kind).unwrap_or_default();
         let mut looked = Looked::default();
         let rows = self.frames().iter().map(|frame| u64::from(frame.camera.resolution[1].div_ceil(*stride)));
-        monitor.begin("rows", rows.sum::<u64>() * (1 + evaluator.members.len() as u64));
+        let times = 1 + evaluator.members.len() as u64 + u64::from(evaluator.photographs.is_some());
+        monitor.begin("rows", rows.sum::<u64>() * times);
         for (seed, frame) in (0..).zip(self.frames()) {
             let truth = TrueView::read(frame, depth.as_ref(), settings.background.as_dvec3(), offset, *stride)?;
             let view = evaluator.evaluate(&truth, seed, monitor)?;

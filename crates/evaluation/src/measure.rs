@@ -103,16 +103,13 @@ impl Baseline {
 pub enum Measure {
     /// Ray average of log10 U, by the index of the reading.
     Reading(usize, RayAverage),
-    /// Standard deviation of depth under the posterior of a reading ([`RenderedView::depth_deviation`]), scene units,
-    /// by the index of the reading. Only of fields in the scale of their data.
+    /// Standard deviation of depth by the field of a reading ([`DepthDeviation`]), scene units, by the index of the
+    /// reading. Only of fields in the scale of their data.
     ///
-    /// [`RenderedView::depth_deviation`]: octobayes::render::RenderedView::depth_deviation
+    /// [`DepthDeviation`]: octobayes_depth::DepthDeviation
     DepthDeviation(usize),
-    /// The part of it that displacements explain, √Var ([`RenderedView::posterior_variance`]), scene units, by the
-    /// index of the reading. Only of splats, whose spread along a ray hides it in the sum.
-    ///
-    /// [`RenderedView::posterior_variance`]: octobayes::render::RenderedView::posterior_variance
-    DepthPosterior(usize),
+    /// The same with the training images.
+    DepthDeviationWithImages(usize),
     /// A measure without a Hessian.
     Baseline(Baseline),
 }

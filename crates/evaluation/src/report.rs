@@ -24,6 +24,8 @@ pub struct Report {
     pub depth: Option<String>,
     /// Folder of the training views' depth maps.
     pub training_depth: Option<String>,
+    /// Folder of the training images that deviations count.
+    pub images: Option<String>,
     /// Where masks of the object come from: a folder, or the camera file.
     pub object_masks: Option<String>,
     /// Names of the ensemble's members.
@@ -101,9 +103,6 @@ pub struct Scored {
     /// The same over the pixels whose depth training views confirm, if those are known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub confirmed: Option<Part>,
-    /// The same where the training images agree on the colour, too, if a field stores how they differ.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub photo_consistent: Option<Part>,
     /// How it detects what was never seen, if that is known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub never_seen: Option<Detection>,
@@ -148,6 +147,7 @@ impl Report {
             cameras: of.cameras.to_string_lossy().into(),
             depth: None,
             training_depth: of.training_depth.as_ref().map(|folder| folder.to_string_lossy().into()),
+            images: of.images.as_ref().map(|folder| folder.to_string_lossy().into()),
             object_masks: None,
             ensemble: of.ensemble.iter().map(|(name, _)| name.clone()).collect(),
             depth_kind: of.depth.kind,
@@ -179,16 +179,16 @@ impl Report {
         for (m, measure) in evaluator.measures().into_iter().enumerate() {
             let (reading, ray_average) = match measure {
                 Measure::Reading(r, average) => (Some(&evaluator.readings[r]), Some(average)),
-                Measure::DepthDeviation(r) | Measure::DepthPosterior(r) => (Some(&evaluator.readings[r]), None),
+                Measure::DepthDeviation(r) | Measure::DepthDeviationWithImages(r) => {
+                    (Some(&evaluator.readings[r]), None)
+                }
                 Measure::Baseline(_) => (None, None),
             };
-            let part = |part: fn(&EvaluatedView) -> &[bool]| evaluator.calibration_of(views, m, part);
             let scored = Scored {
                 name: evaluator.name(measure),
                 score: Score::new(views, m)?,
                 calibration: evaluator.calibration(views, m),
-                confirmed: part(|view| &view.confirmed),
-                photo_consistent: part(|view| &view.photo_consistent),
+                confirmed: evaluator.calibration_of(views, m, |view| &view.confirmed),
                 never_seen: Evaluator::detection(views, m),
                 ray_average,
                 field: reading.map(|reading| facts(&reading.field)),

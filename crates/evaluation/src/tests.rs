@@ -13,8 +13,8 @@ use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{RayAverage, Renderer, VolumeRenderer};
 use octobayes::uncertainty::{BakedField, UncertaintyField};
-use octobayes_data::DepthReadings;
-use octobayes_depth::{TrainingImage, TrainingViews, compare_images};
+use octobayes_data::{DepthReadings, PosedImage};
+use octobayes_depth::{DepthDeviation, Photograph, Sweep, TrainingViews, pixel_angle};
 
 /// An empty field in the ball's box.
 struct Nothing(Aabb);
@@ -61,7 +61,7 @@ fn renderer(field: &dyn RadianceField) -> VolumeRenderer<'_> {
 
 /// What the ball shows. Its true distance falls short of the median depth by 0.01 more for every pixel to the right.
 fn truth(ball: &ClosedForm, camera: &Camera) -> TrueView {
-    let view = renderer(ball).image(camera, 0.5, &[], &[], &Silent).unwrap();
+    let view = renderer(ball).image(camera, 0.5, &[], &Silent).unwrap();
     let width = camera.resolution[0] as usize;
     let seen = |i: usize| view.pixels[i].opacity > 0.5;
     let n = view.pixels.len();
@@ -209,61 +209,53 @@ fn depths_that_training_cameras_see_are_confirmed_and_calibrated_by_themselves()
     assert!(view.confirmed.is_empty() && without.calibration_of(&[view], 0, |view| &view.confirmed).is_none());
 }
 
-/// Images of a ball that agree on the colour of its upper half, and not of its lower one.
+/// Deviations are those of the crate that `depth` uses, from the field alone and, of the first field, with the images.
 #[test]
-fn confirmed_depths_are_photo_consistent_where_images_agree() {
+fn deviations_of_depth_are_those_of_the_field_and_of_the_images() {
     let ball = ClosedForm::ball();
     let model = renderer(&ball);
     let cameras = [-0.3, 0.0, 0.3].map(|azimuth: f64| {
         Camera::look_at(DVec3::new(3.0 * azimuth.cos(), 3.0 * azimuth.sin(), 0.0), DVec3::ZERO, DVec3::Z, 0.7, [48; 2])
     });
-    let images = cameras.iter().zip([0.2, 0.5, 0.8]).map(|(camera, own)| {
-        let shown = model.image(camera, 0.5, &[], &[], &Silent).unwrap();
-        let color = |(_, x): (_, DVec3)| DVec3::splat(if x.z > 0.0 { 0.5 } else { own });
-        let (camera, pixels) = (*camera, camera.pixels() as usize);
-        let colors = shown.median_points(&camera, 0.5).map(color).collect();
-        Ok(TrainingImage { camera, whole: camera, stride: 1, pixel_offset: 0.5, colors, kept: vec![true; pixels] })
-    });
+    let photograph = |camera: &Camera| {
+        let shown = model.image(camera, 0.5, &[], &Silent).unwrap();
+        let byte = |v: f64| (255.0 * v).round() as u8;
+        let pixel = |color: DVec3| [byte(color.x), byte(color.y), byte(color.z), 255];
+        let image = PosedImage::new([48; 2], shown.pixels.iter().map(|p| pixel(p.color)).collect());
+        Photograph::new(*camera, image, None, DVec3::ONE, 0.5)
+    };
+    let photographs: Vec<Photograph> = cameras.iter().map(photograph).collect();
     let data = DataScale::from_cameras(&cameras, 0.05, &Domain::Box(ball.bounds())).unwrap();
-    let field = Estimation::new(&ball, &cameras)
-        .rays(settings())
-        .grid(GridSettings::default().level(5).scale(Scale::Data(data)))
-        .run()
-        .unwrap()
-        .field;
-    let plain = field.clone();
-    let field = compare_images(&model, images, field.lattice(), &Silent).unwrap().join(field).unwrap();
+    let grid = GridSettings::default().level(5).scale(Scale::Data(data));
+    let field = Estimation::new(&ball, &cameras).rays(settings()).grid(grid).run().unwrap().field;
     let training = TrainingViews::render(&model, &cameras, 0.5, &Silent).unwrap();
-    let reading = |field| [Reading { name: "U".into(), field, averages: Vec::new() }];
-    let (with, without) = (reading(field), reading(plain));
-    let differentiation = settings().differentiation(&ball, with[0].field.lattice()).unwrap();
-    let model = VolumeRenderer { differentiation: Some(differentiation), ..model };
-    let evaluator = Evaluator { training: Some(&training), ..Evaluator::new(&model, &with) };
+    // The paper's scale has no lengths.
+    let fields = [uncertainty(&ball), field.clone(), field.clone()];
+    let reading = |field: UncertaintyField| Reading { name: "U".into(), field, averages: Vec::new() };
+    let readings = fields.map(reading);
+    let evaluator =
+        Evaluator { training: Some(&training), photographs: Some(&photographs), ..Evaluator::new(&model, &readings) };
+    let measures = evaluator.measures();
+    let expected = [Measure::DepthDeviation(1), Measure::DepthDeviation(2), Measure::DepthDeviationWithImages(1)];
+    assert_eq!(measures[..3], expected);
     let camera = Camera::look_at(DVec3::new(3.0, 0.2, 0.3), DVec3::ZERO, DVec3::Z, 0.7, [48; 2]);
     let view = evaluator.evaluate(&truth(&ball, &camera), 0, &Silent).unwrap();
-    // Two cells beside the border, a vertex has pixels of one half only.
-    let border = 2.0 * ball.bounds().longest_edge() / 32.0;
-    let mut counts = [0; 2];
-    for ((&i, &confirmed), &agrees) in view.pixels.iter().zip(&view.confirmed).zip(&view.photo_consistent) {
-        assert!(confirmed || !agrees);
-        let [x, y] = [i % 48, i / 48].map(|n| n as f64 + 0.5);
-        let z = camera.ray(x, y).at(view.rendered.pixels[i].median_depth).z;
-        if confirmed && z.abs() > border {
-            assert_eq!(agrees, z > 0.0, "at a height of {z}");
-            counts[usize::from(agrees)] += 1;
+    let baked = BakedField::unbaked(&field);
+    let sweep = Sweep::new(&photographs, &training);
+    for (m, sweep) in [(0, None), (1, None), (2, Some(sweep))] {
+        let deviation = DepthDeviation::new(&baked, sweep, pixel_angle(&[camera])).unwrap();
+        let expected = deviation.of_view(&model, &camera, 0.5, &view.rendered, &Silent).unwrap();
+        for (k, &i) in view.pixels.iter().enumerate() {
+            let expected = if expected[i].is_nan() { f64::INFINITY } else { expected[i] };
+            let found = view.measures[m][k];
+            // A baked field rounds U to f32.
+            assert!(found == expected || (found / expected - 1.0).abs() < 1e-6, "{found} instead of {expected}");
         }
     }
-    assert!(counts.iter().all(|count| *count > 50), "{counts:?}");
-    let m = evaluator.measures().iter().position(|m| *m == Measure::DepthDeviation(0)).unwrap();
-    let agreed = view.photo_consistent.iter().filter(|is| **is).count();
-    let part = |evaluator: &Evaluator, view: &EvaluatedView| {
-        evaluator.calibration_of(std::slice::from_ref(view), m, |view| &view.photo_consistent)
-    };
-    assert_eq!(part(&evaluator, &view).unwrap().share, agreed as f64 / view.pixels.len() as f64);
-    // Of a field that was compared with no images, it is not known.
-    let evaluator = Evaluator { training: Some(&training), ..Evaluator::new(&model, &without) };
-    let view = evaluator.evaluate(&truth(&ball, &camera), 0, &Silent).unwrap();
-    assert!(view.photo_consistent.is_empty() && part(&evaluator, &view).is_none());
+    assert_ne!(view.measures[1], view.measures[2]);
+    // Without the cameras there is nothing to compare images by.
+    let evaluator = Evaluator { training: None, ..evaluator };
+    assert!(!evaluator.measures().contains(&Measure::DepthDeviationWithImages(1)));
 }
 
 #[test]

@@ -6,7 +6,7 @@
 //! readings.
 
 use super::{Baseline, EvaluatedView, Evaluator, Measure, OfKind, PixelKind, Report};
-use crate::metrics::{ErrorDensity, ErrorKind, sparsification};
+use crate::metrics::{ErrorKind, normal, sparsification};
 
 /// Fewer views, each with pixels enough to rank, have no spread to compare a difference with.
 const MIN_VIEWS: usize = 4;
@@ -58,16 +58,21 @@ impl Report {
         };
         let what = format!("{} pixels{}", judged.count, judged.place());
         let mut sentences = vec![ranking(&areas, three.map(|m| judged.area(m)), &name, &what)];
-        let deviation = measures.iter().enumerate().find_map(|(m, measure)| match measure {
-            Measure::DepthDeviation(reading) => Some((m, &evaluator.readings[*reading])),
-            _ => None,
-        });
-        sentences.push(match deviation {
+        let find = |counts_images: bool| {
+            measures.iter().enumerate().find_map(|(m, measure)| match measure {
+                Measure::DepthDeviationWithImages(reading) if counts_images => Some((m, &evaluator.readings[*reading])),
+                Measure::DepthDeviation(reading) if !counts_images => Some((m, &evaluator.readings[*reading])),
+                _ => None,
+            })
+        };
+        let (with_images, alone) = (find(true), find(false));
+        sentences.push(match with_images.or(alone) {
             None => "Intervals of depth need a field in scene units (`uncertainty --for depth`).".into(),
             Some((m, reading)) => {
-                let (nominal, factor, what) = match reading.field.conformal() {
+                // A calibrated factor is that of the field alone.
+                let (nominal, factor, what) = match reading.field.conformal().filter(|_| with_images.is_none()) {
                     Some(interval) => (interval.probability, interval.factor, "calibrated intervals"),
-                    None => (NOMINAL, ErrorDensity::PREDICTIVE.deviations(NOMINAL), "intervals"),
+                    None => (NOMINAL, normal::deviations(NOMINAL), "intervals"),
                 };
                 // Errors within their interval, and all, of each view.
                 let held = |v: &EvaluatedView| -> [f64; 2] {

@@ -10,16 +10,16 @@ use crate::metrics::{Calibration, Detection, ensemble_variance};
 use octobayes::Result;
 use octobayes::metrics::psnr;
 use octobayes::monitor::{Monitor, check};
-use octobayes::render::{DepthVariance, MIN_SUPPORTING_RAYS, Probe, RenderedView, Renderer};
-use octobayes::uncertainty::{BakedField, ColorSpread, DepthPosterior};
-use octobayes_depth::TrainingViews;
+use octobayes::render::{MIN_SUPPORTING_RAYS, Probe, RenderedView, Renderer};
+use octobayes::uncertainty::BakedField;
+use octobayes_depth::{DepthDeviation, Photograph, Sweep, TrainingViews, pixel_angle};
 
 /// Bytes that a reading's field may take to answer faster.
 const MAX_BAKED_BYTES: usize = 256 << 20;
 
 /// A model to evaluate, and the measures to rank its errors by.
 pub struct Evaluator<'a> {
-    /// The model. If it takes no variances, deviations of depth are left out.
+    /// The model.
     pub model: &'a dyn Renderer,
     /// Its uncertainty, read in several ways.
     pub readings: &'a [Reading],
@@ -29,6 +29,10 @@ pub struct Evaluator<'a> {
     pub members: Vec<&'a dyn Renderer>,
     /// The cameras that the model was trained on, if they are known.
     pub training: Option<&'a TrainingViews>,
+    /// Their images, one for each of them, if deviations of depth are to count them, too.
+    pub photographs: Option<&'a [Photograph]>,
+    /// [Angle](octobayes_depth::pixel_angle) of a pixel of theirs; without, that of the judged camera.
+    pub pixel: Option<f64>,
     /// What those cameras truly saw, if that is known.
     pub truly_seen: Option<&'a TrainingViews>,
 }
@@ -53,8 +57,6 @@ pub struct EvaluatedView {
     /// `[n]`: whether training cameras [confirm](TrainingViews::confirmed) the median depth; empty if they are not
     /// known.
     pub confirmed: Vec<bool>,
-    /// `[n]`: whether the training images agree on the colour of what is confirmed, too; empty if that is not known.
-    pub photo_consistent: Vec<bool>,
     /// `[n]` for every kind that is known: whether the pixel is of it.
     pub kinds: Vec<(PixelKind, Vec<bool>)>,
     /// Pixels with a true depth where the model shows nothing. They are left out,
@@ -77,7 +79,16 @@ impl<'a> Evaluator<'a> {
     #[must_use]
     pub fn new(model: &'a dyn Renderer, readings: &'a [Reading]) -> Self {
         let baked = readings.iter().map(|reading| BakedField::within(MAX_BAKED_BYTES, &reading.field)).collect();
-        Self { model, readings, baked, members: Vec::new(), training: None, truly_seen: None }
+        Self {
+            model,
+            readings,
+            baked,
+            members: Vec::new(),
+            training: None,
+            photographs: None,
+            pixel: None,
+            truly_seen: None,
+        }
     }
 
     /// All measures, in the order of [`EvaluatedView::measures`].
@@ -93,10 +104,9 @@ impl<'a> Evaluator<'a> {
         if !self.members.is_empty() {
             baselines.push(Baseline::EnsembleVariance);
         }
-        let deviations = self.posteriors().map(|(i, _)| Measure::DepthDeviation(i));
-        let parts = self.posteriors().filter(|_| self.model.march_step().is_none());
-        let parts = parts.map(|(i, _)| Measure::DepthPosterior(i));
-        readings.chain(deviations).chain(parts).chain(baselines.into_iter().map(Measure::Baseline)).collect()
+        let alone = self.deviations(None, 0.0).map(|(i, _)| Measure::DepthDeviation(i));
+        let with_images = self.with_images(0.0).map(|(i, _)| Measure::DepthDeviationWithImages(i));
+        readings.chain(alone).chain(with_images).chain(baselines.into_iter().map(Measure::Baseline)).collect()
     }
 
     /// Name of a measure in tables.
@@ -108,15 +118,27 @@ impl<'a> Evaluator<'a> {
             }
             Measure::Reading(i, _) => self.readings[i].name.clone(),
             Measure::DepthDeviation(i) => format!("{}, depth deviation", self.readings[i].name),
-            Measure::DepthPosterior(i) => format!("{}, depth deviation without spread", self.readings[i].name),
+            Measure::DepthDeviationWithImages(i) => {
+                format!("{}, depth deviation with images", self.readings[i].name)
+            }
             Measure::Baseline(baseline) => baseline.name().into(),
         }
     }
 
-    /// The readings that give depths a deviation, by their index.
-    fn posteriors(&self) -> impl Iterator<Item = (usize, DepthPosterior<'_>)> {
-        let readings = self.readings.iter().enumerate().filter(|_| self.model.takes_variances());
-        readings.filter_map(|(i, reading)| Some((i, reading.field.depth_posterior().ok()?)))
+    /// The deviations of depth of the readings that have them, by the readings' index.
+    fn deviations<'s>(
+        &'s self,
+        sweep: Option<Sweep<'s>>,
+        pixel: f64,
+    ) -> impl Iterator<Item = (usize, DepthDeviation<'s>)> {
+        let of = move |(i, field)| Some((i, DepthDeviation::new(field, sweep, pixel).ok()?));
+        self.baked.iter().enumerate().filter_map(of)
+    }
+
+    /// That of the first of them with the training images, if they are known.
+    fn with_images(&self, pixel: f64) -> Option<(usize, DepthDeviation<'_>)> {
+        let (photographs, training) = self.photographs.zip(self.training)?;
+        self.deviations(Some(Sweep::new(photographs, training)), pixel).next()
     }
 
     /// The first reading whose field stores its ray counts.
@@ -124,12 +146,8 @@ impl<'a> Evaluator<'a> {
         self.readings.iter().find(|reading| !reading.field.rays().is_empty())
     }
 
-    /// How differently training images show the same place, of the first reading whose field stores it.
-    fn color_spread(&self) -> Option<&ColorSpread> {
-        self.readings.iter().find_map(|reading| reading.field.color_spread())
-    }
-
-    /// Renders a view with the model and all members, and compares. Advances the monitor by one per row of each.
+    /// Renders a view with the model and all members, and compares. Advances the monitor by one per row of each, and
+    /// once more for the training images.
     ///
     /// # Errors
     /// [`octobayes::Error::Interrupted`], or if a model cannot render the camera.
@@ -137,15 +155,13 @@ impl<'a> Evaluator<'a> {
         let probed = self.readings.iter().zip(&self.baked);
         let probes: Vec<Probe> = probed.map(|(reading, field)| Probe { field, averages: &reading.averages }).collect();
         check(monitor)?;
-        let posteriors: Vec<DepthPosterior> = self.posteriors().map(|(_, posterior)| posterior).collect();
-        let variances: Vec<&dyn DepthVariance> = posteriors.iter().map(|posterior| posterior as _).collect();
         let (camera, offset) = (&truth.camera, truth.pixel_offset);
         let (whole, stride) = (&truth.whole, truth.stride);
-        let rendered = self.model.strided_image(whole, stride, offset, &probes, &variances, monitor)?;
+        let rendered = self.model.strided_image(whole, stride, offset, &probes, monitor)?;
         let mut members = Vec::new();
         for member in &self.members {
             check(monitor)?;
-            members.push(member.strided_image(whole, stride, offset, &[], &[], monitor)?);
+            members.push(member.strided_image(whole, stride, offset, &[], monitor)?);
         }
 
         let with_truth = truth.distance.iter().enumerate().filter_map(|(i, d)| Some((i, (*d)?)));
@@ -169,15 +185,16 @@ impl<'a> Evaluator<'a> {
         let kinds = kinds(truth, &seen, unseen, |i| rendered.pixels[i].median_depth);
         let confirmed = self.training.map(|training| training.confirmed(camera, offset, &rendered));
         let confirmed: Vec<bool> = confirmed.iter().flat_map(|all| pixels.iter().map(|&i| all[i])).collect();
-        let colors = self.color_spread().map(|spread| spread.of_view(camera, offset, &rendered));
-        let is_consistent = |colors: &[f64], k: usize| confirmed[k] && colors[pixels[k]] <= ColorSpread::CONSISTENT;
-        let photo_consistent: Vec<bool> =
-            colors.iter().flat_map(|colors| (0..confirmed.len()).map(|k| is_consistent(colors, k))).collect();
+        let of_view =
+            |(_, deviation): (usize, DepthDeviation)| deviation.of_view(self.model, camera, offset, &rendered, monitor);
+        let angle = self.pixel.unwrap_or_else(|| pixel_angle(&[*whole]));
+        let deviations = self.deviations(None, angle).chain(self.with_images(angle));
+        let deviations = deviations.map(of_view).collect::<Result<Vec<_>>>()?;
         let spread = |i: usize| rendered.spread[i];
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut readings = rendered.log10_uncertainty.iter();
-        let (mut deviations, mut parts) = (rendered.depth_deviation.iter(), rendered.posterior_variance.iter());
-        // Where ∇σ is not finite, the depth is not known at all.
+        let mut deviations = deviations.iter();
+        // Where more than half of the light passes, a depth may be anywhere.
         let known = |deviation: f64| if deviation.is_nan() { f64::INFINITY } else { deviation };
         let mut measure = |measure| -> Vec<f64> {
             let each = |value: &dyn Fn(usize) -> f64| pixels.iter().map(|&i| value(i)).collect();
@@ -186,13 +203,9 @@ impl<'a> Evaluator<'a> {
                     let averaged = readings.next().expect("one image per reading and average");
                     each(&|i| averaged[i])
                 }
-                Measure::DepthDeviation(_) => {
-                    let deviations = deviations.next().expect("one image per posterior");
+                Measure::DepthDeviation(_) | Measure::DepthDeviationWithImages(_) => {
+                    let deviations = deviations.next().expect("one image per deviation");
                     each(&|i| known(deviations[i]))
-                }
-                Measure::DepthPosterior(_) => {
-                    let variances = parts.next().expect("one image per posterior");
-                    each(&|i| known(variances[i].sqrt()))
                 }
                 Measure::Baseline(baseline) => match baseline {
                     Baseline::RayVariance => each(&|i| rendered.pixels[i].depth_variance),
@@ -218,7 +231,6 @@ impl<'a> Evaluator<'a> {
             measures,
             never_seen,
             confirmed,
-            photo_consistent,
             kinds,
             empty: empty.len(),
             rendered,
@@ -242,7 +254,7 @@ impl<'a> Evaluator<'a> {
     #[must_use]
     pub fn calibration(&self, views: &[EvaluatedView], m: usize) -> Option<Calibration> {
         let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
-        Calibration::new(&errors, &self.deviations(views, m)?)
+        Calibration::new(&errors, &self.found_deviations(views, m)?)
     }
 
     /// The same over the pixels of `part`, such as those whose depth is [confirmed](EvaluatedView::confirmed). `None`
@@ -256,7 +268,7 @@ impl<'a> Evaluator<'a> {
     ) -> Option<Part> {
         let part: Vec<bool> = views.iter().flat_map(part).copied().collect();
         let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
-        let deviations = self.deviations(views, m)?;
+        let deviations = self.found_deviations(views, m)?;
         let pairs = errors.into_iter().zip(deviations).zip(&part).filter(|(_, is)| **is).map(|(pair, _)| pair);
         let (errors, deviations): (Vec<f64>, Vec<f64>) = pairs.unzip();
         let share = errors.len() as f64 / part.len() as f64;
@@ -264,10 +276,10 @@ impl<'a> Evaluator<'a> {
     }
 
     /// The measure of index `m` over the pixels of all views, if it is a standard deviation of depth.
-    fn deviations(&self, views: &[EvaluatedView], m: usize) -> Option<Vec<f64>> {
+    fn found_deviations(&self, views: &[EvaluatedView], m: usize) -> Option<Vec<f64>> {
         let of_view = |view: &EvaluatedView| -> Option<Vec<f64>> {
             match self.measures()[m] {
-                Measure::DepthDeviation(_) => Some(view.measures[m].clone()),
+                Measure::DepthDeviation(_) | Measure::DepthDeviationWithImages(_) => Some(view.measures[m].clone()),
                 Measure::Baseline(Baseline::RayVariance) => Some(view.spread.clone()),
                 _ => None,
             }

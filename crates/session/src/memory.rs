@@ -3,6 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use octobayes::io::memory::entry;
+use octobayes::uncertainty::{BakedField, UncertaintyField};
+
+/// Free bytes if the system does not report them.
+const DEFAULT_ROOM: u64 = 4 << 30;
 
 /// A number of bytes, human-readable.
 #[must_use]
@@ -30,6 +34,16 @@ pub fn available() -> Option<u64> {
     let own = groups.lines().find_map(|line| line.strip_prefix("0::/")).unwrap_or_default();
     let least = group_and_parents(Path::new("/sys/fs/cgroup"), own).filter_map(|group| left_in(&group));
     Some(least.fold(machine, u64::min))
+}
+
+/// The field with the values of its leaves side by side, if a quarter of what is free has room for them, and so many
+/// questions are to come that gathering them pays.
+#[must_use]
+pub fn baked(field: &UncertaintyField, questions: u64) -> BakedField<'_> {
+    if questions < field.deviations().len() as u64 {
+        return BakedField::unbaked(field);
+    }
+    BakedField::within((available().unwrap_or(DEFAULT_ROOM) / 4) as usize, field)
 }
 
 /// The folders of a control group (version 2) and of the groups around it.

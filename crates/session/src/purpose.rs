@@ -16,8 +16,7 @@ octobayes::choices! {
     pub enum Purpose {
         Ranking = "ranking", "To rank pixels by their error of depth: level 6, covariance block";
         Depth = "depth",
-        "Error bars of depth, in scene units: the same with --scale data and --keep-sums; add --images for a \
-         volume";
+        "How far depths may be off, in scene units: level 7, covariance block, --scale data";
         NextView = "next-view", "To choose the next photograph: level 6, --scale data, --keep-sums";
         Splats = "splats",
         "U, normals and ellipsoids of Gaussian splats: level 6 or 7, covariance block, --keep-sums, and --scale \
@@ -61,7 +60,7 @@ impl Choices {
         match self.purpose {
             None => (None, false, None),
             Some(Purpose::Ranking) => (block, false, None),
-            Some(Purpose::Depth) => (block, true, data),
+            Some(Purpose::Depth) => (block, false, data),
             Some(Purpose::NextView) => (None, true, data),
             Some(Purpose::Splats) => (block, true, data.filter(|_| self.noise.is_some())),
         }
@@ -84,6 +83,7 @@ impl Choices {
             }
             (None, None) => None,
             (None | Some(Purpose::Splats), Some(count)) => Some(level_of_splats(count)),
+            (Some(Purpose::Depth), _) => Some(octobayes_depth::LEVEL),
             (Some(_), _) => Some(COARSE_LEVEL),
         };
         let (covariance, keeps_sums, scale) = self.suggested();
@@ -148,14 +148,17 @@ mod tests {
 
         let choices = Choices { purpose: Some(Purpose::Depth), level: Some(4), ..choices };
         let (grid, texts) = settled(Choices { covariance: Some(Covariance::Trace), ..choices }, None);
-        assert_eq!((grid.level, grid.covariance, grid.keep_sums), (4, Covariance::Trace, true));
-        assert_eq!(texts, ["note: --for depth sets --scale data, --keep-sums"]);
+        assert_eq!((grid.level, grid.covariance, grid.keep_sums), (4, Covariance::Trace, false));
+        assert_eq!(texts, ["note: --for depth sets --scale data"]);
+        let open = Choices { purpose: Some(Purpose::Depth), ..Choices::default() };
+        assert_eq!(settled(open, None).0.level, octobayes_depth::LEVEL);
 
-        let choices = Choices { scale: Some(ScaleKind::Paper), keep_sums: Some(false), ..choices };
+        let next_view = Some(Purpose::NextView);
+        let choices = Choices { purpose: next_view, scale: Some(ScaleKind::Paper), keep_sums: Some(false), ..choices };
         let (grid, texts) = settled(choices, None);
         assert!(!grid.keep_sums && choices.scale() == ScaleKind::Paper, "what was given wins");
-        assert!(texts[1].starts_with("warning: --for depth needs --scale data"), "{texts:?}");
-        assert!(texts[2].starts_with("warning: --for depth needs --keep-sums"), "{texts:?}");
+        assert!(texts[0].starts_with("warning: --for next-view needs --scale data"), "{texts:?}");
+        assert!(texts[1].starts_with("warning: --for next-view needs --keep-sums"), "{texts:?}");
 
         let choices = Choices { purpose: Some(Purpose::Ranking), ..Choices::default() };
         let (grid, _) = settled(choices, None);

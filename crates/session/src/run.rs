@@ -10,7 +10,7 @@ use glam::Vec3;
 
 use super::memory::{bytes, peak};
 use super::needs::Foresight;
-use super::{Choices, Finished, Purpose, TrainingPixels, checks, world};
+use super::{Choices, Finished, ScaleKind, TrainingPixels, checks, world};
 use octobayes::estimate::{
     Audit, Checkpoint, ErrorBudget, Estimation, Feature, Goal, GridSettings, Model, Outcome, RayError, RaySettings,
     Run, StepCheck, require,
@@ -22,7 +22,6 @@ use octobayes::rays::Pixels;
 use octobayes::{Error, Result};
 use octobayes_data::SamplesWriter;
 use octobayes_data::{Views, memory_of_masks, read_masks};
-use octobayes_depth::TrainingImages;
 use octobayes_evaluation::{ImageCheck, memory_of_images};
 
 /// Why cameras may see little of splats.
@@ -59,8 +58,6 @@ octobayes::setters! {
         checkpoint: Option<Checkpoint>,
         /// The folder of sums that a budget of memory has no room for; `None` for the system's folder of such files.
         scratch: Option<PathBuf>,
-        /// Images that the model is compared with, for the deviation of depth.
-        images: Option<TrainingImages>,
         /// Where the samples are written.
         dump: Option<PathBuf>,
         /// Whether what skipped samples and derivatives cost is measured.
@@ -124,7 +121,6 @@ impl Session {
             goal: Goal::default(),
             checkpoint: None,
             scratch: None,
-            images: None,
             dump: None,
             audit: false,
             force: false,
@@ -148,20 +144,12 @@ impl Session {
         let start = Instant::now();
         let choices = &self.choices;
         let grid = choices.settle(self.grid, Some(model.centers().len()).filter(|count| *count > 0), tell)?;
-        let compares = model.lacks(Feature::Images).is_none();
-        if let (Some(Purpose::Depth), true, None) = (choices.purpose, compares, &self.images) {
-            let text = "deviations of depth lack the model's errors of colour: --images adds them";
-            tell(Message::Note(text.into()));
-        }
         if self.audit {
             require(model, Feature::March, "audit")?;
         }
-        if self.images.is_some() {
-            require(model, Feature::Images, "--images")?;
-        }
         model.remarks(&self.cameras).into_iter().for_each(&mut *tell);
         checks::masks(&self.views, &self.masks, tell)?;
-        let (rays, images) = self.settled(model, monitor, tell)?;
+        let (rays, mut images) = self.settled(model, monitor, tell)?;
         let domain = match self.domain {
             Some(domain) => domain,
             None => {
@@ -173,11 +161,13 @@ impl Session {
                 domain
             }
         };
-        let noise = model.training_noise();
+        let noise = match (choices.scale(), choices.noise, model.training_noise()) {
+            (ScaleKind::Data, None, None) => self.noise_of_images(model, &rays, &mut images, monitor, tell)?,
+            (_, _, own) => own,
+        };
         let pixels = kept_pixels(&self.cameras, &self.masks);
         let training = TrainingPixels { pixels: Some(pixels), noise };
         let grid = grid.scale(choices.scale().over(&domain, choices.noise, training)?);
-        self.images.as_ref().map_or(Ok(()), |_| choices.scale().check_images())?;
         if matches!(grid.scale, Scale::Data(_)) {
             checks::pixels(&self.views, pixels, tell);
         }
@@ -216,7 +206,7 @@ impl Session {
                 format!("at least {} MB, to decode the largest mask, or smaller masks", masks / 1_000_000 + 1);
             return Err(Error::setting("memory budget", expected, format!("{} MB", budget / 1_000_000)));
         }
-        Ok(masks.max(memory_of_images(self.frames_with_images())))
+        Ok(masks.max(memory_of_images(&self.views.frames)))
     }
 
     fn estimation<'a>(
@@ -279,10 +269,8 @@ impl<'a> Prepared<'a> {
     /// Draws the rays and computes the field, with what belongs to it.
     ///
     /// # Errors
-    /// If a training image cannot be read, as [`Run::finish`], or if the samples cannot be written.
+    /// As [`Run::finish`], or if the samples cannot be written.
     pub fn finish(self, tell: &mut dyn FnMut(Message)) -> Result<Finished> {
-        // Before the rays, so that a wrong image ends the work at once.
-        let compared = self.compared()?;
         let (has_fixed_rays, of_run) = (self.has_fixed_rays(), self.grid);
         let Self { session, model, monitor, run, start, step, audit, images, .. } = self;
         let (rays, grid) = (run.rays(), &session.grid);
@@ -324,10 +312,6 @@ impl<'a> Prepared<'a> {
         if let Some(writer) = session.writer.take() {
             writer.finish(progress.rays, kept_pixels(&session.cameras, &session.masks))?;
         }
-        let field = match compared {
-            Some(compared) => compared.join(field)?,
-            None => field,
-        };
         checks::field(&field, session.grid.pooling, could_pool, tell);
         checks::unseen(model, &field, &session.cameras, monitor, tell)?;
         Ok(Finished {

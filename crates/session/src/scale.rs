@@ -25,20 +25,6 @@ pub struct TrainingPixels {
 }
 
 impl ScaleKind {
-    /// Refuses training images beside the paper's scale, in which depths have no deviations.
-    ///
-    /// # Errors
-    /// If this is the paper's.
-    pub fn check_images(self) -> Result<()> {
-        match self {
-            Self::Paper => {
-                let expected = "--scale data, in which depths have deviations (--for depth sets it)";
-                Err(Error::setting("--images", expected, "the paper's"))
-            }
-            Self::Data => Ok(()),
-        }
-    }
-
     /// The scale over `domain`. `noise` takes the place of the one that is known.
     ///
     /// # Errors

@@ -178,12 +178,7 @@ impl Model for Discs {
         Ok(Arc::new(Drawn { discs: self, background: settings.background.as_dvec3() }))
     }
 
-    fn for_images<'a>(
-        &'a self,
-        settings: &RaySettings,
-        _: Option<&Lattice>,
-        _: &dyn Monitor,
-    ) -> Result<Box<dyn Renderer + 'a>> {
+    fn for_images<'a>(&'a self, settings: &RaySettings, _: &dyn Monitor) -> Result<Box<dyn Renderer + 'a>> {
         Ok(Box::new(Drawn { discs: self, background: settings.background.as_dvec3() }))
     }
 
@@ -237,9 +232,9 @@ fn all_verbs_work_on_a_third_kind_of_model() {
     refused(Estimation::new(&discs, &cameras).rays(RaySettings::default().march_step(0.1)), "march step");
 
     // Render: the colours of the discs themselves, and U where they are.
-    let renderer = discs.for_images(&RaySettings::for_images(), None, &Silent).unwrap();
+    let renderer = discs.for_images(&RaySettings::for_images(), &Silent).unwrap();
     let probes = [Probe { field: &field, averages: &[RayAverage::WeightedMean] }];
-    let view = renderer.image(&cameras[1], 0.5, &probes, &[], &Silent).unwrap();
+    let view = renderer.image(&cameras[1], 0.5, &probes, &Silent).unwrap();
     let expected = discs.color(&cameras[1].ray(20.5, 16.5), None, DVec3::ONE);
     assert!((view.pixels[16 * 40 + 20].color - expected).length() < 1e-6, "{expected}");
     let averaged = view.log10_uncertainty[0][16 * 40 + 20];

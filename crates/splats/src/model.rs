@@ -101,7 +101,6 @@ impl Model for Splats {
     fn lacks(&self, feature: Feature) -> Option<&'static str> {
         match feature {
             Feature::Pooling => Some("a volume: splats are smooth, and pooling would only smear"),
-            Feature::Images => Some("a volume, whose training images are compared with it pixel by pixel"),
             _ => lacks_of_no_field(feature),
         }
     }
@@ -110,12 +109,7 @@ impl Model for Splats {
         Ok(Arc::new(SplatRenderer::new(self, settings.background)))
     }
 
-    fn for_images<'a>(
-        &'a self,
-        settings: &RaySettings,
-        _: Option<&Lattice>,
-        _: &dyn Monitor,
-    ) -> Result<Box<dyn Renderer + 'a>> {
+    fn for_images<'a>(&'a self, settings: &RaySettings, _: &dyn Monitor) -> Result<Box<dyn Renderer + 'a>> {
         Ok(Box::new(SplatRenderer::new(self, settings.background)))
     }
 

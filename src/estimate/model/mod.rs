@@ -30,8 +30,6 @@ pub enum Feature {
     Density,
     /// Sums of neighbours that may be pooled.
     Pooling,
-    /// A comparison with its training images, pixel by pixel.
-    Images,
 }
 
 /// A trained model.
@@ -155,17 +153,11 @@ pub trait Model: Send + Sync {
         monitor: &dyn Monitor,
     ) -> Result<Arc<dyn Renderer + 'a>>;
 
-    /// The model for images in front of the background of `settings`. Depths have deviations if `lattice` is there:
-    /// that of the field, for which the model is differentiated.
+    /// The model for images in front of the background of `settings`.
     ///
     /// # Errors
-    /// As [`Model::for_rays`].
-    fn for_images<'a>(
-        &'a self,
-        settings: &RaySettings,
-        lattice: Option<&Lattice>,
-        monitor: &dyn Monitor,
-    ) -> Result<Box<dyn Renderer + 'a>>;
+    /// If a setting is out of range, or [`crate::Error::Interrupted`].
+    fn for_images<'a>(&'a self, settings: &RaySettings, monitor: &dyn Monitor) -> Result<Box<dyn Renderer + 'a>>;
 
     /// The model for images as `whole` has them, if the model is a part of that one.
     fn like<'a>(&'a self, whole: &dyn Renderer) -> Box<dyn Renderer + 'a>;
@@ -204,7 +196,7 @@ pub fn lacks_of_no_field(feature: Feature) -> Option<&'static str> {
             Some("a volume: rays of other models are ordered by camera; a part of them does not sample all views")
         }
         Feature::Density => Some("a volume, which has a density"),
-        Feature::Pooling | Feature::Images => None,
+        Feature::Pooling => None,
     }
 }
 

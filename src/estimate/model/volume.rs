@@ -63,14 +63,8 @@ impl<F: TrainedField> Model for F {
         Ok(Arc::new(settings.volume(self, lattice, monitor)?))
     }
 
-    fn for_images<'a>(
-        &'a self,
-        settings: &RaySettings,
-        lattice: Option<&Lattice>,
-        monitor: &dyn Monitor,
-    ) -> Result<Box<dyn Renderer + 'a>> {
-        let differentiation = lattice.map(|lattice| settings.differentiation(self, lattice)).transpose()?;
-        Ok(Box::new(VolumeRenderer { tracer: settings.tracer(self, 0.0, monitor)?, differentiation }))
+    fn for_images<'a>(&'a self, settings: &RaySettings, monitor: &dyn Monitor) -> Result<Box<dyn Renderer + 'a>> {
+        Ok(Box::new(VolumeRenderer { tracer: settings.tracer(self, 0.0, monitor)?, differentiation: None }))
     }
 
     fn like<'a>(&'a self, whole: &dyn Renderer) -> Box<dyn Renderer + 'a> {

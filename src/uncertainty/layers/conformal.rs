@@ -27,9 +27,9 @@ pub struct Conformal {
 }
 
 impl Layer for Conformal {
-    const NAME: &'static str = "interval";
-    const DEPENDS_ON: &'static [Change] =
-        &[Change::Covariance, Change::Prior, Change::Matrices, Change::Vertices, Change::Residuals];
+    /// `interval` was that of another deviation, √(Var + s²), whose factors are not these.
+    const NAME: &'static str = "calibration";
+    const DEPENDS_ON: &'static [Change] = &[Change::Covariance, Change::Prior, Change::Vertices];
     const WITHOUT: &'static str = "not calibrated (evaluate --calibrate)";
 
     fn head(&self) -> Value {
@@ -44,7 +44,7 @@ impl Layer for Conformal {
             return Ok(head);
         }
         let expected = "an interval that a calibration can give";
-        Err(file.malformed("header, interval", expected, format!("{head:?}")))
+        Err(file.malformed("header, calibration", expected, format!("{head:?}")))
     }
 
     fn info(&self) -> String {

@@ -3,25 +3,20 @@
 //!
 //! A new layer is a type that implements [`Layer`], and one line of `layers!` below.
 
-mod color_spread;
 mod conformal;
 pub(super) mod error_bars;
 mod error_summary;
 mod limits;
-mod point_means;
 mod ray_coverage;
 mod ray_sets;
-mod residuals;
 mod sums;
 mod surface;
 
 use serde_json::{Map, Value};
 
-pub use self::color_spread::{ColorSpread, ColorSums};
 pub use self::conformal::Conformal;
 pub use self::error_bars::ErrorBars;
 pub use self::error_summary::ErrorSummary;
-pub use self::residuals::{ResidualSums, Residuals};
 pub(super) use self::sums::each_sums;
 use super::file::Source;
 use crate::Result;
@@ -41,8 +36,6 @@ pub enum Change {
     Matrices,
     /// Values move to the vertices of another grid.
     Vertices,
-    /// Deviations of depth count other residuals of the training images.
-    Residuals,
 }
 
 /// The sections of a layer, by name.
@@ -179,10 +172,6 @@ layers! {
     limits: MaxLevels,
     /// `[vertices]`: errors of log10 σ_v relative to its limit, if independent groups of rays were compared.
     error_bars: ErrorBars,
-    /// What training left unexplained, if deviations of depth count it.
-    residuals: Residuals,
-    /// How differently training images show the same place, if they were compared.
-    color_spread: ColorSpread,
     /// An interval of depth that was calibrated for these deviations.
     conformal: Conformal,
 }

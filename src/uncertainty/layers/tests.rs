@@ -1,6 +1,5 @@
 //! Every change against every layer, and files with any of them.
 
-use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 
 use super::*;
@@ -9,20 +8,6 @@ use crate::posterior::{Covariance, DataScale, OctreePosterior, Posterior, Scale}
 use crate::rays::Shard;
 use crate::uncertainty::tests::{barred, on_own_octree, record, samples};
 use crate::uncertainty::{RunRecord, Support, UncertaintyField, merge};
-
-fn residuals(lattice: &Lattice) -> Residuals {
-    let mut sums = ResidualSums::new(lattice);
-    (0..20_u8).for_each(|i| sums.add(Vec3::splat(0.1 * f32::from(i) - 1.0), 0.01 * f64::from(i % 3)));
-    sums.finish()
-}
-
-fn color_spread(lattice: &Lattice) -> ColorSpread {
-    let mut sums = ColorSums::new(lattice);
-    for image in [0.25, 0.75] {
-        sums.add_image((0..20_u8).map(|i| (Vec3::splat(0.1 * f32::from(i) - 1.0), DVec3::new(image, 0.05, 0.5))));
-    }
-    sums.finish().unwrap()
-}
 
 /// A field of a shard's rays with all layers. Limits and a dense grid exclude each other.
 fn field(seed: u64, shard: Shard, is_dense: bool) -> UncertaintyField {
@@ -42,12 +27,10 @@ fn field(seed: u64, shard: Shard, is_dense: bool) -> UncertaintyField {
     let sums = field.sums().unwrap().to_vec();
     let more = sums.iter().map(|own| VertexSums::new(own.information.map(|s| 2.0 * s), 9)).collect();
     let counts = (0..1 << 18).map(|i| i % 13).collect();
-    field = barred(field, [sums, more], &[1000, 2072])
+    barred(field, [sums, more], &[1000, 2072])
         .with_surface(vec![[0.25, -0.5, 0.125], [0.5; 3]])
         .with_ray_coverage(RayCoverage::from_counts(&lattice, counts))
-        .with_conformal(Conformal { probability: 0.9, factor: 1.5, pixels: 100, views: 2 });
-    field.layers.residuals = Some(residuals(&lattice));
-    field.with_color_spread(color_spread(&lattice)).unwrap()
+        .with_conformal(Conformal { probability: 0.9, factor: 1.5, pixels: 100, views: 2 })
 }
 
 pub(in crate::uncertainty) fn whole() -> UncertaintyField {
@@ -57,15 +40,13 @@ pub(in crate::uncertainty) fn whole() -> UncertaintyField {
 #[test]
 fn changes_drop_the_layers_that_depend_on_them_and_no_others() {
     type Changed = fn(UncertaintyField) -> UncertaintyField;
-    let changes: [(&str, Changed, &[&str]); 13] = [
+    let changes: [(&str, Changed, &[&str]); 11] = [
         ("the same covariance", |f| f.with_covariance(Covariance::Diagonal).unwrap(), &[]),
-        ("covariance", |f| f.with_covariance(Covariance::Block).unwrap(), &["error bars", "interval"]),
-        ("lambda", |f| f.with_lambda(1e9).unwrap(), &["error bars", "residuals", "interval"]),
-        ("sums", UncertaintyField::without_sums, &["sums", "interval"]),
-        ("what queries need", UncertaintyField::for_queries, &["sums", "interval"]),
-        ("grid", |f| f.on_dense_grid(), &["sums", "error bars", "interval"]),
-        ("residuals", |f| f.with_residuals(residuals(&whole().lattice)).unwrap(), &["interval"]),
-        ("colours", |f| f.with_color_spread(color_spread(&whole().lattice)).unwrap(), &[]),
+        ("covariance", |f| f.with_covariance(Covariance::Block).unwrap(), &["error bars", "calibration"]),
+        ("lambda", |f| f.with_lambda(1e9).unwrap(), &["error bars", "calibration"]),
+        ("sums", UncertaintyField::without_sums, &["sums"]),
+        ("what queries need", UncertaintyField::for_queries, &["sums"]),
+        ("grid", |f| f.on_dense_grid(), &["sums", "error bars", "calibration"]),
         ("surface", |f| f.with_surface(Vec::new()), &["surface points"]),
         ("ray coverage", |f| f.with_ray_coverage(None), &["ray coverage"]),
         ("ray sets", |f| f.with_ray_sets(Vec::new()), &["ray sets"]),
@@ -73,7 +54,7 @@ fn changes_drop_the_layers_that_depend_on_them_and_no_others() {
         (
             "sums and covariance",
             |f| f.with_covariance(Covariance::Block).unwrap().without_sums(),
-            &["sums", "error bars", "interval"],
+            &["sums", "error bars", "calibration"],
         ),
     ];
     let before = whole();
@@ -89,18 +70,12 @@ fn changes_drop_the_layers_that_depend_on_them_and_no_others() {
 fn merging_adds_what_adds_up_and_drops_the_rest() {
     let parts = [0, 1].map(|seed| field(seed, Shard::whole(3072), false));
     let merged = merge(&parts).unwrap();
-    let kept = ["ray sets", "sums", "surface points", "ray coverage", "limits", "residuals", "color spread"];
+    let kept = ["ray sets", "sums", "surface points", "ray coverage", "limits"];
     assert_eq!(merged.layers.names(), kept);
     let [ray_sets, surface] = [merged.ray_sets().len(), merged.surface().len()];
     assert_eq!((ray_sets, surface, merged.limits()), (2, 2, parts[0].limits()));
     // What one part lacks: sums and limits are those of all or there is no merge.
-    for (name, is_kept) in [
-        ("ray sets", false),
-        ("surface points", true),
-        ("ray coverage", false),
-        ("residuals", true),
-        ("color spread", true),
-    ] {
+    for (name, is_kept) in [("ray sets", false), ("surface points", true), ("ray coverage", false)] {
         for lacking in [0, 1] {
             let mut parts = parts.clone();
             parts[lacking].layers.remove(name);

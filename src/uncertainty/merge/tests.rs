@@ -6,7 +6,6 @@ use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use glam::DVec3;
 use proptest::prelude::*;
 use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
@@ -21,7 +20,7 @@ use crate::posterior::{
 use crate::rays::Shard;
 use crate::uncertainty::layers::Layers;
 use crate::uncertainty::tests::{barred, on_own_octree};
-use crate::uncertainty::{ResidualSums, RunRecord, StandardDeviations, Support};
+use crate::uncertainty::{RunRecord, StandardDeviations, Support};
 
 const LEVEL: u8 = 4;
 
@@ -119,7 +118,6 @@ proptest! {
         seeds in 1_u64..4,
         of in 1_u64..4,
         is_dense: bool,
-        residuals_of in proptest::option::of(0_usize..9),
         without_coverage in prop_oneof![3 => Just(None), 1 => (0_usize..9).prop_map(Some)],
     ) {
         let random = &mut ChaCha8Rng::seed_from_u64(choice);
@@ -132,12 +130,6 @@ proptest! {
         let n = parts.len();
         if let Some(i) = without_coverage {
             parts[i % n].field.layers.ray_coverage = None;
-        }
-        let mut residuals = ResidualSums::new(&lattice());
-        residuals.add(DVec3::ZERO.as_vec3(), 0.5);
-        let residuals = residuals.finish();
-        if let Some(i) = residuals_of {
-            parts[i % n].field.layers.residuals = Some(residuals.clone());
         }
         let fields = || parts.iter().map(|part| part.field.clone()).collect::<Vec<_>>();
         let most = parts.iter().map(|part| part.field.surface().len()).max();
@@ -158,7 +150,6 @@ proptest! {
             prop_assert!(!merged.is_part(), "{}", name);
             let counts = merged.ray_coverage().map(|ray_coverage| ray_coverage.counts().to_vec());
             prop_assert_eq!(counts, without_coverage.is_none().then(|| expected_coverage.clone()), "{}", name);
-            prop_assert_eq!(merged.residuals(), residuals_of.map(|_| &residuals), "{}", name);
             prop_assert_eq!(merged.surface().len(), most.unwrap(), "{}", name);
             // U is that of the sums, whatever U of the parts was.
             let record = merged.record().clone();

@@ -49,7 +49,6 @@ fn numbers_that_no_run_has_are_refused_by_name() {
         let mut field = in_data_scale.clone();
         field.record = RunRecord { scale: Scale::Paper, lambda: 1e-6, ..field.record };
         field.record.difference_step = Some([0.1; 3]);
-        field.layers.residuals = None;
         field
     };
     let numbers = |numbers: &[f64]| numbers.iter().map(|n| json!(n)).collect::<Vec<Value>>();
@@ -57,8 +56,6 @@ fn numbers_that_no_run_has_are_refused_by_name() {
     let share = || (numbers(&[f64::from(1.0_f32.next_up()), 1e300, -1.0]), numbers(&[0.0, 0.5, 1.0]));
     let (smallest, largest) = (f64::from(f32::MIN_POSITIVE), f64::from(f32::MAX));
     let length = || (numbers(&[0.0, -1.0, 0.9 * smallest, 1.1 * largest, 1e300]), numbers(&[smallest, 1.0, largest]));
-    let level = json!(Residuals::LEVEL);
-    let mean = |most: f64| (numbers(&[-1.0, 1.001 * most, 1e300]), numbers(&[0.0, 0.01, most]));
     let counts = (vec![json!(0), json!(-1), json!((1_u64 << 53) + 1), json!(u64::MAX)], vec![json!(1_u64 << 53)]);
     let record = [
         ("rays", counts.clone()),
@@ -82,14 +79,10 @@ fn numbers_that_no_run_has_are_refused_by_name() {
         (data("pixels"), (vec![json!(0), json!(999), json!(u64::MAX)], vec![json!(1000)])),
         (data("noise"), (numbers(&[0.0, -0.02, 0.51, 1e300]), numbers(&[own.noise]))),
         (data("prior_deviation"), (numbers(&[0.0, -0.05, 1e300]), numbers(&[own.prior_deviation]))),
-        ("/layers/residuals/length_share".into(), share()),
-        ("/layers/residuals/mean".into(), mean(largest)),
-        ("/layers/residuals/level".into(), (vec![json!(5), json!(7), json!(255)], vec![level])),
-        ("/layers/color spread/mean".into(), mean(1.0)),
-        ("/layers/interval/probability".into(), (numbers(&[0.0, 1.0, -0.5, 1e300]), numbers(&[1e-9, 0.999]))),
-        ("/layers/interval/factor".into(), (numbers(&[-1.0, 1.1 * largest, 1e300]), numbers(&[0.0, largest]))),
-        ("/layers/interval/pixels".into(), (vec![json!(1), json!((1_u64 << 53) + 1)], vec![json!(1_u64 << 53)])),
-        ("/layers/interval/views".into(), (vec![json!(0), json!(101)], vec![json!(1), json!(100)])),
+        ("/layers/calibration/probability".into(), (numbers(&[0.0, 1.0, -0.5, 1e300]), numbers(&[1e-9, 0.999]))),
+        ("/layers/calibration/factor".into(), (numbers(&[-1.0, 1.1 * largest, 1e300]), numbers(&[0.0, largest]))),
+        ("/layers/calibration/pixels".into(), (vec![json!(1), json!((1_u64 << 53) + 1)], vec![json!(1_u64 << 53)])),
+        ("/layers/calibration/views".into(), (vec![json!(0), json!(101)], vec![json!(1), json!(100)])),
         ("/layers/ray sets/0/shard/rays".into(), counts),
         ("/lattice/level".into(), (vec![json!(0), json!(17), json!(255)], vec![json!(6)])),
         ("/lattice/domain/Box/min/0".into(), (numbers(&[1.0, 2.0, -1e39, -1e300]), numbers(&[-1.0]))),
@@ -183,10 +176,6 @@ fn entries_that_no_run_has_are_refused_by_section() {
         ("surface", [f32::NAN, f32::INFINITY].map(f32s).to_vec(), [-f32::MAX, 0.0].map(f32s).to_vec()),
         ("limits", vec![u64::MAX.to_le_bytes().to_vec()], vec![]),
         ("errors", [f32::INFINITY, -1.0, 1e6].map(f16s).to_vec(), [0.0, 65504.0].map(f16s).to_vec()),
-        ("residuals", [f32::NAN, f32::INFINITY, -1.0].map(f32s).to_vec(), [0.0, f32::MAX].map(f32s).to_vec()),
-        ("color spread", [f32::NAN, f32::INFINITY, -1.0, 1.001].map(f32s).to_vec(), [0.0, 1.0].map(f32s).to_vec()),
-        ("residual points", vec![u64::MAX.to_le_bytes().to_vec(), vec![0; 8]], vec![]),
-        ("color points", vec![u64::MAX.to_le_bytes().to_vec(), vec![0; 8]], vec![]),
     ] {
         for entry in refused {
             let said = read(section, &entry).expect_err(&format!("{section}: {entry:?}"));

@@ -7,7 +7,6 @@ use rand::{Rng, RngExt, SeedableRng};
 
 use super::*;
 use crate::octree::{Cell, Leaves};
-use crate::render::{DepthSample, DepthVariance};
 
 /// All leaves: lower corner and edge, in finest cells.
 struct Slow(Vec<([u32; 3], u32)>);
@@ -75,16 +74,6 @@ impl Slow {
             }
         }
         all
-    }
-
-    /// Mean volume of the leaves in the octants around a point.
-    fn volume_around(&self, point: [u32; 3]) -> f64 {
-        let octants = (0..8_u32).filter_map(|c| {
-            let within = |axis: usize| f64::from(point[axis]) + f64::from(c >> axis & 1) - 0.5;
-            self.around(DVec3::from([0, 1, 2].map(within))).map(|(_, edge)| f64::from(edge).powi(3))
-        });
-        let octants: Vec<f64> = octants.collect();
-        octants.iter().sum::<f64>() / octants.len() as f64
     }
 }
 
@@ -186,10 +175,10 @@ fn queries_are_those_of_brute_force() {
     }
 }
 
-/// On leaves that are limited a ray moves with the functions of free vertices, too, whose sums are divided by the
-/// volume of the leaves around them. Those without sums, or outside the octree, have the prior's variance.
+/// On leaves that are limited a point moves with the functions of free vertices, too. Those outside the octree have the
+/// prior's variance.
 #[test]
-fn variances_of_depth_are_those_of_brute_force() {
+fn correlations_are_those_of_brute_force() {
     let random = &mut ChaCha8Rng::seed_from_u64(6);
     let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
     // Eight regions of leaves of levels 2, 3 and 4.
@@ -197,68 +186,44 @@ fn variances_of_depth_are_those_of_brute_force() {
     let slow = Slow::of_limits(&limits);
     let edges: std::collections::BTreeSet<u32> = slow.0.iter().map(|(_, edge)| *edge).collect();
     assert!(edges.len() > 1, "{edges:?}");
-    let data = DataScale::new(1000, 0.02, 0.05).unwrap();
-    for covariance in Covariance::ALL {
-        let scale = Scale::Data(data);
-        let record = RunRecord { scale, lambda: data.lambda(), ..record(&lattice, covariance, 20) };
-        // Not all leaves: in a part of the box the octree is coarser than its limits.
-        let mut wanted = Vec::new();
-        for &(origin, edge) in slow.0.iter().filter(|(origin, _)| origin[0] + origin[1] < 90) {
-            let level = 6 - edge.ilog2() as u8;
-            wanted.push(Cell { level, index: origin.map(|i| i / edge) });
-        }
-        let octree = Octree::refined(6, wanted);
-        let mut sums = arbitrary_sums(octree.vertex_count(), random);
-        // Three quarters were touched.
-        sums.iter_mut().step_by(4).for_each(|sums| *sums = VertexSums::default());
-        let vertices: BTreeMap<[u32; 3], usize> = octree.vertex_positions().zip(0..).collect();
-        let support = Support::Octree(octree);
-        let kept = UncertaintyField::on_leaves(record, lattice, support, limits.clone(), sums.clone());
-        let bare = kept.clone().without_sums();
-        let (mut shared, mut without) = (0, 0);
-        for _ in 0..200 {
-            let samples: Vec<DepthSample> = (0..12)
-                .map(|_| DepthSample {
-                    position: Vec3::from([0; 3].map(|_| random.random_range(-1.1..1.1))),
-                    gradient: DVec3::from([0; 3].map(|_| random.random_range(-1.0..1.0))),
-                })
-                .collect();
-            let mut gradients = BTreeMap::<[u32; 3], DVec3>::new();
-            let mut outside = 0.0;
-            for DepthSample { position, gradient } in &samples {
-                match lattice.coordinates(*position) {
-                    Some(u) => {
-                        for (point, value) in slow.functions(u) {
-                            *gradients.entry(point).or_default() += value * *gradient;
-                        }
-                        shared += slow.corners(u).iter().filter(|(c, _)| slow.masters(*c).len() > 1).count();
-                    }
-                    None => outside += gradient.length_squared(),
+    // Not all leaves: in a part of the box the octree is coarser than its limits.
+    let wanted = slow.0.iter().filter(|(origin, _)| origin[0] + origin[1] < 90);
+    let cell =
+        |(origin, edge): &([u32; 3], u32)| Cell { level: 6 - edge.ilog2() as u8, index: origin.map(|i| i / edge) };
+    let octree = Octree::refined(6, wanted.map(cell));
+    let sums = arbitrary_sums(octree.vertex_count(), random);
+    let vertices: BTreeMap<[u32; 3], usize> = octree.vertex_positions().zip(0..).collect();
+    let support = Support::Octree(octree);
+    let record = record(&lattice, Covariance::Block, 20);
+    let field = UncertaintyField::on_leaves(record, lattice, support, limits.clone(), sums);
+    let (mut shared, mut without, mut correlated) = (0, 0, 0);
+    for _ in 0..500 {
+        let a = Vec3::from([0; 3].map(|_| random.random_range(-1.05..1.05)));
+        let b = a + Vec3::from([0; 3].map(|_| random.random_range(-0.2..0.2)));
+        let expected = match [a, b].map(|x| lattice.coordinates(x)) {
+            [Some(a), Some(b)] => {
+                let [a, b] = [a, b].map(|u| slow.functions(u));
+                let mut covariances = [0.0; 3];
+                let points: std::collections::BTreeSet<_> = a.keys().chain(b.keys()).collect();
+                for point in points {
+                    let vertex = vertices.get(point);
+                    without += usize::from(vertex.is_none());
+                    let variance = vertex.map_or(field.prior(), |&v| field.deviations().get(v)).powi(2);
+                    let [of_a, of_b] = [&a, &b].map(|of| of.get(point).copied().unwrap_or(0.0));
+                    shared += usize::from(of_a > 0.0 && of_b > 0.0);
+                    let products = [of_a * of_b, of_a * of_a, of_b * of_b];
+                    covariances.iter_mut().zip(products).for_each(|(sum, product)| *sum += product * variance);
                 }
+                covariances[0] / (covariances[1] * covariances[2]).sqrt()
             }
-            let prior_variance = kept.prior().powi(2) / 3.0;
-            let [mut of_kept, mut of_bare] = [prior_variance * outside; 2];
-            for (point, g) in gradients {
-                let vertex = vertices.get(&point);
-                without += usize::from(vertex.is_none());
-                let mut own = vertex.map_or_else(VertexSums::default, |&v| sums[v]);
-                let volume = slow.volume_around(point);
-                own.information.iter_mut().for_each(|s| *s /= volume);
-                let [xx, xy, xz, yy, yz, zz] = covariance.matrix(&own, 20, data.lambda());
-                let matrix = glam::DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
-                of_kept += scale.factor(covariance).powi(2) * g.dot(matrix * g);
-                let of_prior = || scale.factor(covariance) * covariance.prior(data.lambda());
-                let deviation = vertex.map_or_else(of_prior, |&v| kept.deviations().get(v));
-                of_bare += deviation * deviation / 3.0 * g.length_squared();
-            }
-            for (field, expected) in [(&kept, of_kept), (&bare, of_bare)] {
-                let found = field.depth_posterior().unwrap().variance(&samples);
-                // Sums of a hundred terms of f64, none of them negative but for rounding.
-                assert!((found / expected - 1.0).abs() < 1e-11, "{covariance:?}: {found} {expected}");
-            }
-        }
-        assert!(shared > 100 && without > 100, "{shared} corners hang, {without} vertices are the prior's");
+            _ => 0.0,
+        };
+        let found = field.correlation(a, b);
+        assert!((found - expected).abs() < 1e-12, "{a} {b}: {found} {expected}");
+        assert!((field.correlation(b, a) - found).abs() < 1e-15);
+        correlated += usize::from(found > 0.1 && found < 0.9);
     }
+    assert!(shared > 100 && without > 100 && correlated > 50, "{shared} {without} {correlated}");
 }
 
 /// A field whose sums are not kept is made by other code, and has the same values.
@@ -278,36 +243,5 @@ fn values_made_without_sums_are_those_made_with_them() {
         assert!(kept.deviations() == bare.deviations() && kept.rays() == bare.rays());
         let moved = kept.deviations().iter().filter(|deviation| *deviation < 0.9 * kept.prior()).count();
         assert!(moved > 20, "{moved} vertices moved");
-    }
-}
-
-/// `trace` has no directions, so that nothing is lost with the sums: a deviation of depth depends neither on whether
-/// they were kept, nor on pooling or limits.
-#[test]
-fn variances_of_depth_do_not_depend_on_whether_sums_are_kept() {
-    let random = &mut ChaCha8Rng::seed_from_u64(8);
-    let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
-    let data = DataScale::new(1000, 0.02, 0.05).unwrap();
-    for limits in [MaxLevels::none(6), MaxLevels::balanced(6, [(0, 4), (3, 3), (5, 5)])] {
-        for pooling in [Pooling::Off, Pooling::Auto] {
-            let plain = record(&lattice, Covariance::Trace, 20);
-            let record = RunRecord { scale: Scale::Data(data), lambda: data.lambda(), pooling, ..plain };
-            let octree = Octree::refined(6, (0..40).map(|i| Cell { level: 6, index: [i, 30, 63 - i] }));
-            let sums = arbitrary_sums(octree.vertex_count(), random);
-            let support = Support::Octree(octree);
-            let kept = UncertaintyField::on_leaves(record, lattice, support, limits.clone(), sums);
-            let bare = kept.clone().without_sums();
-            for _ in 0..50 {
-                let t = random.random_range(-0.9..0.2_f32);
-                let sample = |i: u8| DepthSample {
-                    position: Vec3::new(t + 0.02 * f32::from(i), -0.05, -t - 0.01 * f32::from(i)),
-                    gradient: DVec3::from([0; 3].map(|_| random.random_range(-1.0..1.0))),
-                };
-                let samples: Vec<DepthSample> = (0..12).map(sample).collect();
-                let [kept, bare] = [&kept, &bare].map(|f| f.depth_posterior().unwrap().variance(&samples));
-                // Deviations are stored in f32, relative error 6e-8.
-                assert!((bare / kept - 1.0).abs() < 1e-6, "{bare} without sums, {kept} with them");
-            }
-        }
     }
 }

@@ -31,7 +31,7 @@ pub struct Pictures<'a> {
 impl Pictures<'_> {
     /// A model, ready for images.
     pub fn renderer<'m>(&self, model: &'m dyn Model) -> Result<Box<dyn Renderer + 'm>> {
-        model.for_images(&RaySettings::for_images().background(self.background), None, &Silent)
+        model.for_images(&RaySettings::for_images().background(self.background), &Silent)
     }
 
     /// A model as a camera shows it.
@@ -44,7 +44,7 @@ impl Pictures<'_> {
         check(self.monitor)?;
         let longest = f64::from(camera.resolution.into_iter().max().unwrap_or(1));
         let camera = scaled(camera, (side / longest).min(1.0));
-        let view = renderer.image(&camera, 0.5, &[], &[], &Silent)?;
+        let view = renderer.image(&camera, 0.5, &[], &Silent)?;
         Ok((view.resolution, view.pixels.iter().map(|pixel| pixel.color).collect()))
     }
 

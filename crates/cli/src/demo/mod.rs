@@ -16,7 +16,7 @@ use self::matter::Shares;
 use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
 use super::options::{MAX_COUNT, UTF_8, count};
-use super::panels::{Ranges, depth_range, error_range, view_panels};
+use super::panels::{Ranges, depth_range, view_panels};
 use super::progress::Bars;
 use super::report;
 use octobayes::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
@@ -263,7 +263,7 @@ impl Args {
         let (views, cleaned) = (render(field)?, render(&cleaned)?);
         let truths = truth.map(render).transpose()?;
         let quantity = uncertainty.record().scale.quantity();
-        let (depth, error) = (depth_range(&views), error_range(&views));
+        let (depth, error) = (depth_range(&views), [0.0, 1.0]);
         let ranges = Ranges { depth, error, conformal: None, log10: [low, prior], prior, quantity };
         let colors = |title: &str, view: &RenderedView| {
             color_panel(title, view.resolution, view.pixels.iter().map(|pixel| pixel.color))
@@ -272,7 +272,7 @@ impl Args {
             .map(|i| {
                 let (name, camera) = subject.views()[i];
                 let unknown = unknowns(&unbaked, &camera, 0.5, &views[i]);
-                let mut row = view_panels(&views[i], name, ranges, &unknown);
+                let mut row = view_panels(&views[i], None, name, ranges, &unknown);
                 if let Some(truths) = &truths {
                     row.remove(1);
                     row.insert(0, colors(&format!("{}: truth", subject.views()[i].0), &truths[i]));

@@ -1,14 +1,13 @@
 //! One photograph: its maps, and what is known of it in numbers.
 
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
-use octobayes::geometry::Camera;
 use octobayes::metrics::quantile;
-use octobayes::render::RenderedView;
 use octobayes::{Error, Result};
 use octobayes_data::{DepthKind, write_exr};
-use octobayes_depth::Trust;
+use octobayes_depth::{SurveyedView, Trust};
 use octobayes_show::picture::{write_grey8, write_grey16};
 use serde::Serialize;
 
@@ -18,14 +17,15 @@ use super::{Look, Unit};
 pub struct DepthView {
     /// The frame's name.
     pub name: String,
-    /// A camera with exactly these pixels.
-    pub camera: Camera,
-    /// The model's image.
-    pub rendered: RenderedView,
-    /// `[height · width]`: deviation of the median depth along the ray, scene units; NaN where nothing is shown.
-    pub sigma: Vec<f64>,
-    /// `[height · width]`: whether the depth can be trusted.
-    pub trust: Vec<Trust>,
+    seen: SurveyedView,
+}
+
+impl Deref for DepthView {
+    type Target = SurveyedView;
+
+    fn deref(&self) -> &SurveyedView {
+        &self.seen
+    }
 }
 
 /// A photograph in numbers; lengths in the unit of the output.
@@ -67,13 +67,7 @@ pub struct MapSettings {
 impl DepthView {
     /// Looks through the training camera `i` at every `stride`-th pixel along x and y.
     pub fn new(look: &Look, i: usize, stride: u32) -> Result<Self> {
-        let (surveyor, frame) = (&look.surveyor, &look.frames[i]);
-        let offset = surveyor.pixel_offset;
-        let rendered = surveyor.renderer.strided_image(&frame.camera, stride, offset, &[], &[], look.bars)?;
-        let camera = frame.camera.strided(stride, offset);
-        let sigma = surveyor.deviation.of_view(surveyor.renderer, &camera, offset, &rendered, look.bars)?;
-        let trust = Trust::of_view(surveyor.training, &camera, offset, &rendered, Some(i));
-        Ok(Self { name: frame.name.clone(), camera, rendered, sigma, trust })
+        Ok(Self { name: look.frames[i].name.clone(), seen: look.surveyor.view(i, stride, look.bars)? })
     }
 
     /// Where the surface of every trusted pixel is, by its index, scene units.

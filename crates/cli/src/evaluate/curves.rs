@@ -50,13 +50,13 @@ fn best(measures: &[Scored]) -> Vec<&Scored> {
 fn reliability(report: &Report) -> Option<Plot> {
     report.readings.iter().any(|scored| scored.calibration.is_some()).then(|| {
         let mut best: Vec<_> = report.calibrated_measures().collect();
-        best.sort_by(|a, b| a.1.predictive().auce.total_cmp(&b.1.predictive().auce));
+        best.sort_by(|a, b| a.1.auce.total_cmp(&b.1.auce));
         let mut curves: Vec<Curve> = best
             .into_iter()
             .take(MAX_CURVES)
             .map(|(name, c)| Curve {
-                name: format!("{name} (AUCE {:.3})", c.predictive().auce),
-                points: c.predictive().reliability.iter().map(|&[p, found]| (p, found)).collect(),
+                name: format!("{name} (AUCE {:.3})", c.auce),
+                points: c.reliability.iter().map(|&[p, found]| (p, found)).collect(),
                 reference: false,
             })
             .collect();

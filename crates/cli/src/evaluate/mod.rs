@@ -71,6 +71,11 @@ pub struct Args {
     #[arg(long, value_name = "DIR", help_heading = heading::INPUT, hide_short_help = true)]
     training_depth: Option<PathBuf>,
 
+    /// Folder from which the names of the training images start: deviations of depth then also count how well these
+    /// agree on each surface. The model must store its training cameras, or a camera file have them
+    #[arg(long, value_name = "DIR", help_heading = heading::INPUT)]
+    images: Option<PathBuf>,
+
     /// Folder of masks in which the object is not black, `NAME.png` of each view [default: those that the camera file
     /// names, `object_mask_path`]. The object has figures of its own then, and the verdict is about it
     #[arg(long, value_name = "DIR", help_heading = heading::INPUT)]
@@ -189,6 +194,7 @@ impl Args {
             depth: self.maps.files(self.depth.clone()),
             object_masks: self.object_masks.clone(),
             training_depth: self.training_depth.clone(),
+            images: self.images.clone(),
             calibrate: self.calibrate.as_ref().map(|_| self.probability),
             clean_up: self.clean_up.is_some(),
             curves: self.plot.is_some() || self.csv.is_some(),
@@ -203,6 +209,7 @@ impl Args {
             .inputs("an image of --cameras", prepared.frames().iter().map(|frame| &frame.image))
             .inputs("--depth", prepared.depth.iter().flat_map(|found| &found.files))
             .inputs("a mask of the object", prepared.frames().iter().filter_map(|frame| frame.object.as_ref()))
+            .inputs("an image of --images", prepared.images.iter().flatten().map(|frame| &frame.image))
             .inputs("--training-depth", prepared.training_depth.iter().flat_map(|found| &found.files))
             .check()?;
         let Judged { report, truths, cleaned } = prepared.judge(bars, &mut tell)?;

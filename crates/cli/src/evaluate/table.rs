@@ -86,7 +86,7 @@ impl Args {
         let Interval { conformal, predicted, left_out } = interval;
         say!("calibrated on these views: {}", path.display())?;
         say!("  {conformal}")?;
-        say!("  without calibration, as Student's t with five degrees of freedom: {predicted:.3} deviations")?;
+        say!("  without calibration, as if errors were normal: {predicted:.3} deviations")?;
         let [least, middle, most] = left_out.map(|share| 100.0 * share);
         if conformal.views > 1 {
             say!("  leaving one view out at a time: coverage {least:.1} to {most:.1} %, median {middle:.1} %")?;
@@ -149,8 +149,9 @@ fn warn_of_rises(report: &Report) {
 fn print_kinds(report: &Report, width: usize) -> Result<()> {
     let Some(first) = report.kinds.first() else { return Ok(()) };
     let by = first.measures[0].name.clone();
+    // With the training images, if they are counted: the last that a field gives.
     let is_deviation = |m: &usize| report.kinds.iter().any(|of| of.measures[*m].calibration.is_some());
-    let deviation = (1..first.measures.len()).find(is_deviation);
+    let deviation = (1..report.readings.len()).rev().find(is_deviation);
     let nominal = if deviation.is_some() {
         format!("   deviation holds, of {}", PROBABILITIES.map(|p| format!("{:.0}", 100.0 * p)).join("/") + " %")
     } else {
@@ -162,7 +163,7 @@ fn print_kinds(report: &Report, width: usize) -> Result<()> {
     for OfKind { kind, share, depth_error, measures } in &report.kinds {
         let [mae, rmse] = measures[0].ause.map_or([f64::NAN; 2], |ause| [ause.mae, ause.rmse]);
         let held = deviation.and_then(|m| measures[m].calibration.as_ref()).map_or(String::new(), |calibration| {
-            let held = calibration.predictive().coverage.map(|[_, found]| number(100.0 * found, 0));
+            let held = calibration.coverage.map(|[_, found]| number(100.0 * found, 0));
             format!("   {}", held.join("/"))
         });
         let [mae, rmse] = [mae, rmse].map(|area| number(area, 3));
@@ -200,32 +201,24 @@ fn print_calibration(report: &Report, width: usize) -> Result<()> {
     }
     let nominal = PROBABILITIES.map(|p| format!("{:>6.0} %", 100.0 * p)).concat();
     say!(
-        "{:<width$}{nominal}    AUCE   mean e/s   NLL, nats: Gauss  Laplace  Student   (with the best scale)",
+        "{:<width$}{nominal}    AUCE   mean e/s   NLL, nats  (with the best scale)",
         "errors of depth within",
         width = width + 2
     )?;
     let line = |name: &str, c: &Calibration| {
-        let held = c.predictive().coverage.map(|[_, found]| format!("{:>6} %", number(100.0 * found, 1))).concat();
-        let [gauss, laplace, student] = c.densities.each_ref().map(|of| number(of.nll, 2));
-        let [g, l, s] = c.densities.each_ref().map(|of| number(of.nll_best_scale, 2));
-        let [auce, ratio] = [number(c.predictive().auce, 3), number(c.mean_ratio, 2)];
-        say!("  {name:<width$}{held} {auce:>7} {ratio:>10} {gauss:>18} {laplace:>8} {student:>8}   ({g}, {l}, {s})")
+        let held = c.coverage.map(|[_, found]| format!("{:>6} %", number(100.0 * found, 1))).concat();
+        let [nll, best] = [c.nll, c.nll_best_scale].map(|nll| number(nll, 2));
+        let [auce, ratio] = [number(c.auce, 3), number(c.mean_ratio, 2)];
+        say!("  {name:<width$}{held} {auce:>7} {ratio:>10} {nll:>11}  ({best})")
     };
     report.calibrated_measures().try_for_each(|(name, calibration)| line(name, calibration))?;
-    let seen = format!("where {CONFIRMING_VIEWS} training views see a surface at that depth");
-    type Of = fn(&Scored) -> Option<&Part>;
-    let parts: [(String, Of); 2] = [
-        (seen, |scored| scored.confirmed.as_ref()),
-        ("and training images agree on its colour".into(), |scored| scored.photo_consistent.as_ref()),
-    ];
-    for (place, part) in parts {
-        let found = report.readings.iter().filter_map(|scored| Some((&*scored.name, part(scored)?)));
-        for (i, (name, Part { share, calibration })) in found.enumerate() {
-            if i == 0 {
-                say!("{place}, {:.1} % of the pixels", 100.0 * share)?;
-            }
-            calibration.as_ref().map_or(Ok(()), |calibration| line(name, calibration))?;
+    let confirmed = report.readings.iter().filter_map(|scored| Some((&*scored.name, scored.confirmed.as_ref()?)));
+    for (i, (name, Part { share, calibration })) in confirmed.enumerate() {
+        if i == 0 {
+            let share = 100.0 * share;
+            say!("where {CONFIRMING_VIEWS} training views see a surface at that depth, {share:.1} % of the pixels")?;
         }
+        calibration.as_ref().map_or(Ok(()), |calibration| line(name, calibration))?;
     }
     for inside in &report.conformal {
         let held = &inside.interval;

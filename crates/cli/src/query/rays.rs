@@ -10,9 +10,10 @@ use crate::options::{model_name, numbers};
 use crate::progress::Bars;
 use crate::streams;
 use octobayes::Result;
-use octobayes::geometry::Ray;
-use octobayes::render::{DepthProbe, DepthVariance, Probe, RayAverage, render_rays};
-use octobayes::uncertainty::UncertaintyField;
+use octobayes::geometry::{Camera, Ray};
+use octobayes::render::{Probe, RayAverage, VolumeRenderer, render_rays};
+use octobayes::uncertainty::{BakedField, UncertaintyField};
+use octobayes_depth::{DepthDeviation, pixel_angle};
 use octobayes_session::{OpenedModel, image_settings};
 
 /// Rays to query, and the model that they pass through.
@@ -64,13 +65,14 @@ impl RayQuery {
         let model = opened.volume()?;
         let settings = image_settings(field);
         let tracer = settings.tracer(model, 0.0, bars)?;
-        // Fields in the paper's scale have no deviations of depth.
-        let posterior = field.depth_posterior().ok();
         let probes = [Probe { field, averages: &[RayAverage::WeightedMean] }];
-        let differentiation = settings.differentiation(model, field.lattice())?;
-        let variances: Vec<&dyn DepthVariance> = posterior.iter().map(|p| p as _).collect();
-        let depth = DepthProbe { differentiation, variances: &variances };
-        let view = render_rays(&tracer, &self.ray, &probes, Some(&depth));
+        let view = render_rays(&tracer, &self.ray, &probes);
+        // Fields in the paper's scale have no deviations of depth.
+        let baked = BakedField::unbaked(field);
+        let renderer = VolumeRenderer { tracer, differentiation: None };
+        let training: Vec<Camera> = opened.model.training_cameras().iter().map(|named| named.camera).collect();
+        let deviation = DepthDeviation::new(&baked, None, pixel_angle(&training)).ok();
+        let deviation = deviation.map(|deviation| deviation.of_rays(&renderer, &self.ray, &view));
         let mut csv = csv::Writer::from_writer(out);
         let mut write = || -> csv::Result<()> {
             let mut head = vec!["x", "y", "z", "dx", "dy", "dz", "opacity", "median_depth", "expected_depth"];
@@ -82,7 +84,7 @@ impl RayQuery {
                     ray.origin.to_array().iter().chain(&ray.direction.to_array()).map(f64::to_string).collect();
                 // Where the ray meets nothing there is no depth.
                 let hit = |value: f64| if pixel.opacity > 0.0 { known(value) } else { String::new() };
-                let deviation = view.depth_deviation.first().map_or(f64::NAN, |of_rays| of_rays[i]);
+                let deviation = deviation.as_ref().map_or(f64::NAN, |of_rays| of_rays[i]);
                 row.extend([pixel.opacity.to_string(), hit(pixel.median_depth), hit(pixel.expected_depth)]);
                 row.extend([hit(deviation), known(view.log10_uncertainty[0][i])]);
                 row.extend(field.conformal().map(|conformal| hit(conformal.factor * deviation)));

@@ -4,9 +4,9 @@ mod studio;
 
 use std::path::{Path, PathBuf};
 
-use self::studio::{Cleaned, Studio};
+use self::studio::{Cleaned, Studio, StudioView};
 use super::files::CommandFiles;
-use super::opened::{baked, open_field};
+use super::opened::open_field;
 use super::options::{
     CameraOptions, Frames, ModelArgument, choice, heading, parse_frames, parse_positive, parse_range,
 };
@@ -14,13 +14,14 @@ use super::progress::Bars;
 use super::streams::tell;
 use octobayes::geometry::{Camera, MAX_PIXELS};
 use octobayes::monitor::Monitor;
-use octobayes::render::{RayAverage, RenderedView};
+use octobayes::render::RayAverage;
 use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
 use octobayes_data::write_exr;
 use octobayes_data::{Frame, Part};
-use octobayes_depth::TrainingViews;
+use octobayes_depth::{DepthDeviation, TrainingViews, pixel_angle};
 use octobayes_evaluation::Reading;
+use octobayes_session::memory::baked;
 use octobayes_session::{OpenedModel, Threshold, image_settings, scaled};
 use octobayes_show::picture::{is_own_sheet, write_sheet};
 
@@ -33,9 +34,8 @@ const PREVIEW: u32 = 800;
 /// tools: R, G, B, A, depth.Z (median distance from the camera), uncertainty.U (scene units), log10_uncertainty.U (both
 /// NaN where A is 0.05 or less, and outside the field's box) and, with --depth-error, depth_error.Z (one standard
 /// deviation, scene units), depth_confirmed.Z if the model stores its training cameras (1 where three of them see a
-/// surface at that depth, else 0: do not rely on the deviation there), color_spread.V if the field was computed with
-/// --images (standard deviation between the training images of the colour there; rely on the deviation where it is 0.05
-/// or less) and, if the field is calibrated, depth_interval.Z (half width of the interval).
+/// surface at that depth, else 0: do not rely on the deviation there) and, if the field is calibrated, depth_interval.Z
+/// (half width of the interval).
 #[derive(clap::Args)]
 #[command(after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 \
     -o view.png")]
@@ -105,9 +105,8 @@ pub struct Args {
     )]
     ray_average: RayAverage,
 
-    /// Show the standard deviation of depth, too, in scene units; the field must be one of `--scale data`. It joins
-    /// what the training images leave open (matter that could be elsewhere) and how widely matter is spread along the
-    /// ray
+    /// Show the standard deviation of depth, too, in scene units; the field must be one of `--scale data`. It follows
+    /// from U and from how widely matter is spread along the ray; `depth` also compares the training images
     #[arg(long, help_heading = heading::OUTPUT)]
     depth_error: bool,
 
@@ -136,7 +135,7 @@ impl Args {
         let wanted = self.frame.numbers();
         let frames: Vec<&Frame> = wanted.clone().map(|k| views.frame(k)).collect::<Result<_>>()?;
         if self.depth_error {
-            field.depth_posterior()?;
+            DepthDeviation::new(&BakedField::unbaked(&field), None, 0.0)?;
         }
 
         Reading::check(&field, self.ray_average)?;
@@ -145,21 +144,14 @@ impl Args {
         let baked = &baked(&field, pictures * cameras.iter().map(Camera::pixels).sum::<u64>());
         let threshold = self.threshold.map(|threshold| threshold.log10(baked, &mut tell)).transpose()?;
         let model = &*opened.model;
-        if self.depth_error && !model.centers().is_empty() && field.conformal().is_none() {
-            announce!(
-                "note: deviations of depth are mostly the spread of the splats along a ray; `evaluate --calibrate` \
-                 scales them on views of known depth"
-            );
-        }
-        let lattice = self.depth_error.then(|| field.lattice());
-        let whole = model.for_images(&settings, lattice, bars)?;
+        let whole = model.for_images(&settings, bars)?;
         let part = match threshold.map(|threshold| model.certain_part(baked, threshold)).transpose()? {
             Some(None) => {
                 return Err(Error::setting("--threshold", "a threshold that leaves a part of the model", "none left"));
             }
             part => part.flatten(),
         };
-        let left = part.as_ref().map(|part| part.for_images(&settings, lattice, bars)).transpose()?;
+        let left = part.as_ref().map(|part| part.for_images(&settings, bars)).transpose()?;
         let offset = settings.offset_for(model);
         let known: Vec<Camera> = model.training_cameras().iter().map(|named| named.camera).collect();
         let is_told = self.depth_error && self.is_exr() && !known.is_empty();
@@ -174,6 +166,7 @@ impl Args {
             offset,
             average: self.ray_average,
             depth_error: self.depth_error,
+            pixel: if known.is_empty() { pixel_angle(&views.cameras()) } else { pixel_angle(&known) },
             training,
             log10: bar_of(baked, self.range),
             bars,
@@ -227,15 +220,15 @@ impl Args {
 
     /// Writes the picture of one camera.
     fn picture(&self, studio: &Studio, k: usize, camera: &Camera, path: &Path) -> Result<()> {
-        let write = |view: &RenderedView| {
-            let (log10, confirmed) = (studio.shown_log10(camera, view), studio.confirmed(camera, view));
-            let colors = studio.color_spread(camera, view);
-            write_exr(path, view.resolution, channels(view, &log10, confirmed.as_deref(), colors, studio.field))
+        let write = |view: &StudioView| {
+            let rendered = &view.rendered;
+            let (log10, confirmed) = (studio.shown_log10(camera, rendered), studio.confirmed(camera, rendered));
+            write_exr(path, rendered.resolution, channels(view, &log10, confirmed.as_deref(), studio.field))
         };
         if let (true, Some(Threshold::Log10(_))) = (self.is_exr(), self.threshold) {
             // An EXR holds the cleaned view only; to count what the threshold removes takes both views.
             let view = studio.cleaned_view(camera)?.unwrap_or_default();
-            if view.pixels.iter().all(|pixel| pixel.opacity <= 0.5) {
+            if view.rendered.pixels.iter().all(|pixel| pixel.opacity <= 0.5) {
                 self.note_pixels(studio, &(studio.whole_view(camera)?, Some(view.clone())));
             }
             return write(&view);
@@ -252,9 +245,9 @@ impl Args {
 
 impl Args {
     /// Says on stderr if the clean-up takes many more of a view's pixels than it seems to.
-    fn note_pixels(&self, studio: &Studio, views: &(RenderedView, Option<RenderedView>)) {
+    fn note_pixels(&self, studio: &Studio, views: &(StudioView, Option<StudioView>)) {
         if let (Some(threshold), (view, Some(cleaned))) = (self.threshold, views) {
-            threshold.note_pixels(view, cleaned, studio.baked, &mut tell);
+            threshold.note_pixels(&view.rendered, &cleaned.rendered, studio.baked, &mut tell);
         }
     }
 
@@ -290,16 +283,15 @@ pub fn bar_of(field: &BakedField, range: Option<[f64; 2]>) -> [f64; 2] {
     })
 }
 
-/// The channels of the EXR, with `log10` of U, whether depths are confirmed, and how colours spread.
+/// The channels of the EXR, with `log10` of U, and whether depths are confirmed.
 fn channels(
-    view: &RenderedView,
+    StudioView { rendered, deviation }: &StudioView,
     log10: &[f64],
     confirmed: Option<&[bool]>,
-    colors: Option<Vec<f64>>,
     field: &UncertaintyField,
 ) -> Vec<(&'static str, Vec<f32>)> {
     let of_pixel =
-        |value: &dyn Fn(&octobayes::render::Pixel) -> f64| view.pixels.iter().map(|p| value(p) as f32).collect();
+        |value: &dyn Fn(&octobayes::render::Pixel) -> f64| rendered.pixels.iter().map(|p| value(p) as f32).collect();
     let mut channels = vec![
         ("R", of_pixel(&|p| p.color.x)),
         ("G", of_pixel(&|p| p.color.y)),
@@ -309,16 +301,11 @@ fn channels(
         ("uncertainty.U", log10.iter().map(|&u| 10_f64.powf(u) as f32).collect()),
         ("log10_uncertainty.U", log10.iter().map(|&u| u as f32).collect()),
     ];
-    let errors = view.depth_deviation.iter().map(|of_pixels| of_pixels.iter().map(|&s| s as f32).collect());
-    channels.extend(errors.map(|errors| ("depth_error.Z", errors)));
+    let times = |factor: f64| deviation.as_ref().map(|all| all.iter().map(|s| (factor * s) as f32).collect());
+    channels.extend(times(1.0).map(|errors| ("depth_error.Z", errors)));
     let confirmed = confirmed.map(|all| all.iter().map(|is| f32::from(u8::from(*is))).collect());
     channels.extend(confirmed.map(|confirmed| ("depth_confirmed.Z", confirmed)));
-    let colors = colors.map(|spread| spread.iter().map(|&v| v as f32).collect());
-    channels.extend(colors.map(|spread| ("color_spread.V", spread)));
-    let interval = |factor: f64| {
-        let scaled = move |of_pixels: &Vec<f64>| of_pixels.iter().map(|s| (factor * s) as f32).collect();
-        view.depth_deviation.iter().map(move |of_pixels| ("depth_interval.Z", scaled(of_pixels)))
-    };
-    channels.extend(field.conformal().into_iter().flat_map(|conformal| interval(conformal.factor)));
+    let interval = field.conformal().and_then(|conformal| times(conformal.factor));
+    channels.extend(interval.map(|interval| ("depth_interval.Z", interval)));
     channels
 }

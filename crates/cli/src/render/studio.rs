@@ -6,7 +6,7 @@ use octobayes::Result;
 use octobayes::geometry::Camera;
 use octobayes::render::{Probe, RayAverage, RenderedView, Renderer};
 use octobayes::uncertainty::{BakedField, UncertaintyField, shown_log10, unknowns};
-use octobayes_depth::TrainingViews;
+use octobayes_depth::{DepthDeviation, TrainingViews};
 use octobayes_show::picture::Panel;
 
 /// What pictures are made of.
@@ -25,12 +25,23 @@ pub struct Studio<'a> {
     pub average: RayAverage,
     /// Whether depth gets its standard deviation.
     pub depth_error: bool,
+    /// Angle of a pixel of the training cameras, or of those that are rendered if the model stores none.
+    pub pixel: f64,
     /// What the model's training cameras see of it, if that stands beside the deviation.
     pub training: Option<TrainingViews>,
     /// Ends of the colour bar of log10 U.
     pub log10: [f64; 2],
     /// Progress, one unit a row of pixels.
     pub bars: &'a Bars,
+}
+
+/// A picture of a model.
+#[derive(Clone, Default)]
+pub struct StudioView {
+    /// Colour, depth and U.
+    pub rendered: RenderedView,
+    /// `[height · width]`: standard deviation of depth, if that is wanted, scene units; NaN where nothing is shown.
+    pub deviation: Option<Vec<f64>>,
 }
 
 /// A model without what is uncertain.
@@ -43,27 +54,34 @@ pub struct Cleaned<'a> {
 }
 
 impl Studio<'_> {
-    fn view(&self, renderer: &dyn Renderer, camera: &Camera) -> Result<RenderedView> {
+    fn view(&self, renderer: &dyn Renderer, camera: &Camera) -> Result<StudioView> {
         let probes = [Probe { field: self.baked, averages: &[self.average] }];
-        if !self.depth_error {
-            return renderer.image(camera, self.offset, &probes, &[], self.bars);
-        }
-        let posterior = self.field.depth_posterior()?;
-        renderer.image(camera, self.offset, &probes, &[&posterior], self.bars)
+        let rendered = renderer.image(camera, self.offset, &probes, self.bars)?;
+        let of_field = || {
+            DepthDeviation::new(self.baked, None, self.pixel)?.of_view(
+                renderer,
+                camera,
+                self.offset,
+                &rendered,
+                self.bars,
+            )
+        };
+        let deviation = self.depth_error.then(of_field).transpose()?;
+        Ok(StudioView { rendered, deviation })
     }
 
     /// The view of a camera without what is uncertain, if that is wanted.
-    pub fn cleaned_view(&self, camera: &Camera) -> Result<Option<RenderedView>> {
+    pub fn cleaned_view(&self, camera: &Camera) -> Result<Option<StudioView>> {
         self.cleaned.map(|cleaned| self.view(cleaned.left, camera)).transpose()
     }
 
     /// The view of a camera.
-    pub fn whole_view(&self, camera: &Camera) -> Result<RenderedView> {
+    pub fn whole_view(&self, camera: &Camera) -> Result<StudioView> {
         self.view(self.whole, camera)
     }
 
     /// The views of a camera: the model, and the model cleaned.
-    pub fn views(&self, camera: &Camera) -> Result<(RenderedView, Option<RenderedView>)> {
+    pub fn views(&self, camera: &Camera) -> Result<(StudioView, Option<StudioView>)> {
         let cleaned = self.cleaned_view(camera)?;
         Ok((self.whole_view(camera)?, cleaned))
     }
@@ -79,31 +97,25 @@ impl Studio<'_> {
         self.training.as_ref().map(|training| training.confirmed(camera, self.offset, view))
     }
 
-    /// How differently training images show what each pixel shows, `[height · width]`; `None` if that is not
-    /// requested.
-    pub fn color_spread(&self, camera: &Camera, view: &RenderedView) -> Option<Vec<f64>> {
-        let told = self.field.color_spread().filter(|_| !view.depth_deviation.is_empty());
-        told.map(|spread| spread.of_view(camera, self.offset, view))
-    }
-
     /// Labelled panels of both, one row each.
     pub fn rows(
         &self,
         name: &str,
         camera: &Camera,
-        (view, cleaned): &(RenderedView, Option<RenderedView>),
+        (view, cleaned): &(StudioView, Option<StudioView>),
     ) -> Vec<Vec<Panel>> {
         let both = || [view].into_iter().chain(cleaned);
         let ranges = Ranges {
-            depth: depth_range(both()),
-            error: error_range(both()),
+            depth: depth_range(both().map(|view| &view.rendered)),
+            error: error_range(both().filter_map(|view| view.deviation.as_ref())),
             conformal: self.field.conformal().copied(),
             log10: self.log10,
             prior: self.field.prior().log10(),
             quantity: self.field.record().scale.quantity(),
         };
-        let panels = |name: &str, view: &RenderedView| {
-            view_panels(view, name, ranges, &unknowns(self.baked, camera, self.offset, view))
+        let panels = |name: &str, StudioView { rendered, deviation }: &StudioView| {
+            let unknown = unknowns(self.baked, camera, self.offset, rendered);
+            view_panels(rendered, deviation.as_deref(), name, ranges, &unknown)
         };
         let mut rows = vec![panels(name, view)];
         if let (Some(cleaned), Some(Cleaned { threshold, .. })) = (cleaned, self.cleaned) {

@@ -22,7 +22,6 @@ use octobayes::rays::Pixels;
 use octobayes::render::{GradientMethod, Occupancy};
 use octobayes_data::Part;
 use octobayes_data::SamplesReader;
-use octobayes_depth::TrainingImages;
 use octobayes_session::{Needs, OpenedModel, Session, given_up};
 
 /// Compute the uncertainty of a trained field from its training cameras
@@ -138,19 +137,6 @@ pub struct Args {
     )]
     shard: Option<[u64; 2]>,
 
-    /// Compare the model with its training images in this folder: standard deviations of depth then include its errors
-    /// of colour
-    ///
-    /// The names of the training images start from DIR: it is the data set that the model was trained on, or the
-    /// folder of the camera file. They have the size of the cameras' pictures. Their residuals are kept at the points
-    /// of a lattice of at most 64 cells a side, and the deviation of depth becomes
-    /// sqrt(Var + s^2 + (c residual)^2), where c is a 10th of the longest edge of the field's box, for all scenes (of
-    /// the ball, if space is contracted). The field also stores how much the colours of the
-    /// images differ at each place, and `evaluate` and `render` show where they agree. U stays as it is. `merge` needs
-    /// one field that was compared with images. Needs --scale data.
-    #[arg(long, value_name = "DIR", help_heading = heading::STATISTICS)]
-    images: Option<PathBuf>,
-
     /// Also store the sampling error of log10 U, from this many independent groups of rays [without a number: 8]
     ///
     /// Each group draws pixels of its own. The field stores the root mean square error of log10 U (decades, by the
@@ -259,13 +245,7 @@ impl Args {
             given.refuse(marched, expected, model.model.kind())?;
         }
         let cameras = self.cameras.training(&self.frames, Some(&*model.model), &self.model.model)?;
-        let find = |folder: &PathBuf| {
-            self.grid.choices().scale().check_images()?;
-            TrainingImages::find(folder, &cameras.views.frames)
-        };
-        let images = self.images.as_ref().map(find).transpose()?;
-        let files = self.command_files().images(&cameras.views);
-        files.inputs("an image of --images", images.iter().flat_map(TrainingImages::paths)).check()?;
+        self.command_files().images(&cameras.views).check()?;
         self.output.as_deref().map_or(Ok(()), check_field_name)?;
 
         let session = Session::new(cameras.views, format!("{} seen by {}", model.source, cameras.source))?
@@ -279,7 +259,6 @@ impl Args {
             .goal(Goal::of(self.target_error, self.shard, self.error_bars))
             .checkpoint(self.checkpoint())
             .scratch(self.scratch_folder())
-            .images(images)
             .dump(self.dump_samples.clone())
             .audit(self.audit)
             .force(self.training.force)

@@ -194,9 +194,6 @@ fn maps_belong_to_frames_by_their_folders() {
     // A map that is nowhere.
     std::fs::remove_file(desk.join("depth/back/0.exr")).unwrap();
     desk.refused(&evaluate("depth", EXR), &["images/back/0.png", "back/0.exr"]);
-    // Pictures, too, belong to one frame each.
-    desk.write("cameras.json", file.replace("back/0.png", "front/0.png"));
-    desk.refused(&format!("{UNCERTAINTY} --images . -o x.oct"), &[".: training images", "front/0.png"]);
 }
 
 /// The extension of a map may be written in capitals, in the pattern and on the disk.

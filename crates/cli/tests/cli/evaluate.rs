@@ -134,7 +134,7 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
 }
 
 /// A field in the scale of its data gives depths a standard deviation; its coverage stands beside that of the ray's
-/// weights, which know nothing of the training images.
+/// weights, and beside that with the training images.
 #[test]
 #[ignore = "slow: whole runs as processes"]
 fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
@@ -144,27 +144,26 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let found = desk.json(&format!("{command} --plot both.svg"));
     let reading = entry(&found["readings"], "data block, depth deviation");
     let held = |of: &Value| -> Vec<f64> {
-        let pairs = of["calibration"]["densities"][2]["coverage"].as_array().unwrap().iter();
+        let pairs = of["calibration"]["coverage"].as_array().unwrap().iter();
         pairs.map(|pair| pair[1].as_f64().unwrap()).collect()
     };
-    // √(Var + s²) is wider than s, for every pixel.
-    let (posterior, weights) = (held(reading), held(entry(&found["baselines"], "ray-weight variance")));
-    assert!(posterior.iter().zip(&weights).all(|(wide, narrow)| wide >= narrow), "{posterior:?} and {weights:?}");
     // A model of 120 steps: calibrated it is not, but neither all within nor all outside.
-    assert!((0.3..0.999).contains(&posterior[1]), "{posterior:?}");
+    let of_field = held(reading);
+    assert!((0.3..0.999).contains(&of_field[1]), "{of_field:?}");
+    assert_eq!(held(entry(&found["baselines"], "ray-weight variance")).len(), of_field.len());
     assert!(["AUCE", "oracle"].iter().all(|curve| desk.text("both.svg").contains(curve)));
     // What it comes to stands first, to people and programs.
     assert_eq!(desk.good(&command).lines().next(), found["verdict"][0].as_str());
     // The training views confirm some depths.
     let share = reading["confirmed"]["share"].as_f64().unwrap();
     assert!((0.05..=1.0).contains(&share), "{}", reading["confirmed"]);
-    // With images, there is a part on whose colour they agree.
-    desk.good(&DATA.replace("--keep-sums -o data.oct", "--images set -o images.oct"));
-    let shown = desk.json(&EVALUATE.replace("m.oct", "images.oct"));
-    let of_images = entry(&shown["readings"], "images diagonal, depth deviation");
-    let [seen, agreed] = ["confirmed", "photo_consistent"].map(|part| of_images[part]["share"].as_f64().unwrap());
-    assert!((0.0..=seen).contains(&agreed) && seen == share, "{agreed} of {seen}, {share}");
-    assert!(reading.get("photo_consistent").is_none());
+    // With the training images there is another deviation, and the verdict is about it.
+    let with_images = desk.json(&format!("{command} --images set"));
+    let of_images = held(entry(&with_images["readings"], "data block, depth deviation with images"));
+    assert!((0.3..0.999).contains(&of_images[1]) && of_images != of_field, "{of_images:?}");
+    assert_eq!(held(entry(&with_images["readings"], "data block, depth deviation")), of_field);
+    assert_ne!(with_images["verdict"][1], found["verdict"][1]);
+    desk.refused(&format!("{command} --images ."), &["training images", "neither"]);
     // The risk is the mean error left: at least the oracle's, and chance's is near the mean error.
     let figure = |name: &str, key: &str| entry(&found["baselines"], name)[key]["mae"].as_f64().unwrap();
     let least = figure("random", "least_risk");
@@ -191,13 +190,6 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let count = told.iter().filter(|is| **is == 1.0).count();
     assert!(count > 20 && count < told.len() && told.iter().all(|is| [0.0, 1.0].contains(is)), "{count}");
     assert!(channel(&render("data.oct", "plain.exr"), "depth_confirmed.Z").is_none());
-    // How differently images show what is shown, with the deviation and of fields that know it.
-    assert!(channel(&view, "color_spread.V").is_none());
-    assert!(channel(&render("images.oct", "plain.exr"), "color_spread.V").is_none());
-    let of_images = render("images.oct --depth-error", "images.exr");
-    let [spread, opacity] = ["color_spread.V", "A"].map(|name| channel(&of_images, name).unwrap());
-    assert!(spread.iter().filter(|v| !v.is_nan()).count() > 20, "{spread:?}");
-    assert!(spread.iter().zip(&opacity).all(|(v, a)| v.is_nan() || *a > 0.0 && (0.0..=1.0).contains(v)));
     let paper = "render m-0.safetensors m.oct --depth-error --cameras set/transforms_test.json -o no.png";
     desk.refused(paper, &["--scale data"]);
 }

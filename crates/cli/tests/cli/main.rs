@@ -26,7 +26,6 @@ mod npz;
 #[path = "../program/mod.rs"]
 mod program;
 mod refusals;
-mod residuals;
 mod scale;
 mod splats;
 mod streams;

@@ -193,7 +193,7 @@ fn write_held_out(folder: &Path) {
     let name = |(name, camera): (String, Camera)| (name.replace('r', "t"), camera);
     let cameras: Vec<_> = around(2.2, (0..3).map(|i| 0.25 + 0.5 * f64::from(i))).into_iter().map(name).collect();
     for (name, camera) in &cameras {
-        let view = renderer.image(camera, 0.5, &[], &[], &Silent).unwrap();
+        let view = renderer.image(camera, 0.5, &[], &Silent).unwrap();
         let pixel = |x: u32, y: u32| &view.pixels[(48 * y + x) as usize];
         let image = image::RgbaImage::from_fn(48, 40, |x, y| {
             let [r, g, b] = pixel(x, y).color.to_array().map(|v| (255.0 * v.min(1.0)).round() as u8);
@@ -313,7 +313,7 @@ fn photograph(folder: &Path, shade: f32) {
     let (ball, frames) = (ball(|_| 0.0), Views::read(&folder.join("transforms.json"), None).unwrap());
     let renderer = SplatRenderer::new(&ball, Vec3::splat(shade));
     for frame in frames.frames {
-        let view = renderer.image(&frame.camera, 0.5, &[], &[], &Silent).unwrap();
+        let view = renderer.image(&frame.camera, 0.5, &[], &Silent).unwrap();
         let color = |x: u32, y: u32| view.pixels[(48 * y + x) as usize].color.to_array();
         let byte = |v: f64| (255.0 * v.clamp(0.0, 1.0)).round() as u8;
         let image = image::RgbImage::from_fn(48, 40, |x, y| image::Rgb(color(x, y).map(byte)));

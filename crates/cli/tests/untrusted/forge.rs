@@ -12,22 +12,8 @@ use std::io::{Cursor, Read, Write};
 use super::{Kind, torch};
 
 /// Sections of containers, in the order of their parts.
-const FIELD: [&str; 14] = [
-    "masks",
-    "deviations",
-    "rays",
-    "factors",
-    "exact",
-    "surface",
-    "ray_coverage",
-    "counted",
-    "limits",
-    "errors",
-    "residual points",
-    "residuals",
-    "color points",
-    "color spread",
-];
+const FIELD: [&str; 10] =
+    ["masks", "deviations", "rays", "factors", "exact", "surface", "ray_coverage", "counted", "limits", "errors"];
 const CHECKPOINT: [&str; 5] = ["run", "keys", "sums", "surface", "ray_coverage"];
 
 /// Arrays that archives may have, in the order of their parts.

@@ -155,15 +155,8 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
     field.validate().expect("a field that was read is sound");
     assert!(field.prior() > 0.0 && field.prior().is_finite(), "prior {}", field.prior());
     let cube = field.lattice().domain().bounds().copied().unwrap_or(Aabb::centered_cube(3.0));
-    if let Some(residuals) = field.residuals() {
-        for (x, found) in points_around(cube).into_iter().map(|x| (x, residuals.depth_deviation(x))) {
-            assert!(found >= 0.0 && found.is_finite(), "a deviation of {found} at {x}");
-        }
-    }
-    if let Some(spread) = field.color_spread() {
-        for (x, found) in points_around(cube).into_iter().filter_map(|x| Some((x, spread.at(x)?))) {
-            assert!(found >= 0.0 && found.is_finite(), "a spread of {found} at {x}");
-        }
+    for (x, found) in points_around(cube).into_iter().map(|x| (x, field.correlation(x, Vec3::ZERO))) {
+        assert!((0.0..=1.0).contains(&found), "a correlation of {found} at {x}");
     }
     for covariance in Covariance::ALL {
         let Ok(field) = field.clone().with_covariance(covariance) else { continue };

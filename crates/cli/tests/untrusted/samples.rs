@@ -15,7 +15,7 @@ use octobayes::posterior::{
 };
 use octobayes::rays::{Pixels, RunProgress, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
-use octobayes::uncertainty::{ColorSums, ResidualSums, Support, UncertaintyField};
+use octobayes::uncertainty::{Conformal, Support, UncertaintyField};
 use octobayes_data::SamplesWriter;
 use octobayes_data::write_transforms;
 use octobayes_models::write_voxel_grid;
@@ -135,8 +135,8 @@ fn barred<P: Posterior + Clone>(
     field.with_error_bars(&groups, &[3, 2]).unwrap()
 }
 
-/// Fields on octree and dense grid: with and without sums, with what images leave, of contracted space, with limited
-/// leaves, of a shard.
+/// Fields on octree and dense grid: with and without sums, with a calibrated interval, of contracted space, with
+/// limited leaves, of a shard.
 pub fn fields() -> Vec<UncertaintyField> {
     let cube = Domain::Box(Aabb::centered_cube(1.0));
     let space = Domain::contracted(DVec3::new(0.1, 0.2, 0.3), 0.5, Norm::L2).unwrap();
@@ -161,17 +161,10 @@ pub fn fields() -> Vec<UncertaintyField> {
             Support::Dense => barred(field, DensePosterior::new(lattice), (0..27).map(|v| lattice.dense_point(v))),
         }
     };
-    let images_known = |settings: GridSettings| {
+    let calibrated = |settings: GridSettings| {
         let scale = Scale::Data(DataScale::new(100, 0.1, 0.05).unwrap());
-        let field = field(settings.scale(scale), cube);
-        let mut sums = ResidualSums::new(field.lattice());
-        (0..20).for_each(|i| sums.add(Vec3::splat(0.1 * i as f32 - 1.0), 0.01 * f64::from(i % 3)));
-        let mut colors = ColorSums::new(field.lattice());
-        for red in [0.2, 0.6] {
-            colors.add_image((0..20).map(|i| (Vec3::splat(0.1 * i as f32 - 1.0), DVec3::new(red, 0.5, 0.5))));
-        }
-        let field = field.with_residuals(sums.finish()).unwrap();
-        field.with_color_spread(colors.finish().unwrap()).unwrap()
+        let interval = Conformal { probability: 0.9, factor: 1.5, pixels: 100, views: 2 };
+        field(settings.scale(scale), cube).with_conformal(interval)
     };
     vec![
         field(small, cube),
@@ -183,7 +176,7 @@ pub fn fields() -> Vec<UncertaintyField> {
         bars(field(small, cube)),
         bars(field(small.grid(GridKind::Dense).level(1), cube)).without_sums(),
         drawn(small, cube, Shard::new(2_000, 0, 2)),
-        images_known(small),
+        calibrated(small),
     ]
 }
 

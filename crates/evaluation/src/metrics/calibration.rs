@@ -2,7 +2,7 @@
 //!
 //! Letters: e an absolute error, s the standard deviation claimed for it, z = e / s.
 
-use super::ErrorDensity;
+use super::normal;
 
 /// Probabilities whose intervals are reported.
 pub const PROBABILITIES: [f64; 4] = [0.5, 0.68, 0.9, 0.95];
@@ -10,11 +10,11 @@ pub const PROBABILITIES: [f64; 4] = [0.5, 0.68, 0.9, 0.95];
 /// Points of the reliability curve: nominal probabilities 1/100, 2/100, …, 99/100.
 const POINTS: usize = 99;
 
-/// How well deviations predict the size of errors, for one density.
+/// How well deviations predict the size of errors, which are taken to be normal.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
-pub struct DensityCalibration {
-    /// The density that errors are taken to have.
-    pub density: ErrorDensity,
+pub struct Calibration {
+    /// Mean of e / s.
+    pub mean_ratio: f64,
     /// Each of [`PROBABILITIES`] (nominal), and the coverage of its interval.
     pub coverage: [[f64; 2]; PROBABILITIES.len()],
     /// `[99]`: nominal probability and the share found, for the reliability diagram.
@@ -26,15 +26,6 @@ pub struct DensityCalibration {
     /// The same if all deviations are multiplied by the one factor that suits these errors best: what is lost by not
     /// knowing their common scale.
     pub nll_best_scale: f64,
-}
-
-/// How well deviations predict the size of errors.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
-pub struct Calibration {
-    /// Mean of e / s.
-    pub mean_ratio: f64,
-    /// One for each [`ErrorDensity`].
-    pub densities: [DensityCalibration; ErrorDensity::ALL.len()],
 }
 
 impl Calibration {
@@ -55,46 +46,23 @@ impl Calibration {
         let mut ratios: Vec<f64> = absolute_error.iter().zip(deviation).map(|(e, s)| e / s).collect();
         ratios.sort_unstable_by(f64::total_cmp);
         let log_deviation = deviation.iter().map(|s| s.ln()).sum::<f64>() / n;
-        Some(Self {
-            mean_ratio: ratios.iter().sum::<f64>() / n,
-            densities: ErrorDensity::ALL.map(|density| DensityCalibration::new(density, &ratios, log_deviation)),
-        })
-    }
-
-    /// That of [`ErrorDensity::PREDICTIVE`].
-    #[must_use]
-    pub fn predictive(&self) -> &DensityCalibration {
-        self.of(ErrorDensity::PREDICTIVE)
-    }
-
-    /// That of one density.
-    #[must_use]
-    pub fn of(&self, density: ErrorDensity) -> &DensityCalibration {
-        self.densities.iter().find(|found| found.density == density).expect("one for each density")
-    }
-}
-
-impl DensityCalibration {
-    /// From the ascending z of all errors, and the mean of ln s.
-    fn new(density: ErrorDensity, ratios: &[f64], log_deviation: f64) -> Self {
-        let n = ratios.len() as f64;
         // By the ratios' order their probabilities are sorted, too.
-        let found: Vec<f64> = ratios.iter().map(|&z| density.within(z)).collect();
+        let found: Vec<f64> = ratios.iter().map(|&z| normal::within(z)).collect();
         let share = |probability: f64| found.partition_point(|p| *p <= probability) as f64 / n;
         let nominal = (1..=POINTS).map(|k| k as f64 / (POINTS + 1) as f64);
         let reliability: Vec<[f64; 2]> = nominal.map(|p| [p, share(p)]).collect();
         let scaled = |factor: f64| {
-            let sum: f64 = ratios.iter().map(|z| density.negative_log(z / factor)).sum();
+            let sum: f64 = ratios.iter().map(|z| normal::negative_log(z / factor)).sum();
             sum / n + factor.ln() + log_deviation
         };
-        Self {
-            density,
+        Some(Self {
+            mean_ratio: ratios.iter().sum::<f64>() / n,
             coverage: PROBABILITIES.map(|p| [p, share(p)]),
             auce: reliability.iter().map(|[p, found]| (p - found).abs()).sum::<f64>() / POINTS as f64,
             reliability,
             nll: scaled(1.0),
             nll_best_scale: least(|log| scaled(log.exp())),
-        }
+        })
     }
 }
 
@@ -114,52 +82,43 @@ fn least(f: impl Fn(f64) -> f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Quantiles of |e| for errors of this density and these deviations: errors without chance.
-    fn errors(density: ErrorDensity, n: usize, scale: f64) -> (Vec<f64>, Vec<f64>) {
+    /// Quantiles of |e| for normal errors of these deviations: errors without chance.
+    fn errors(n: usize, scale: f64) -> (Vec<f64>, Vec<f64>) {
         let deviations: Vec<f64> = (0..n).map(|i| 0.1 + (i * 7 % 13) as f64).collect();
-        let quantile = |i: usize| density.deviations((i as f64 + 0.5) / n as f64);
+        let quantile = |i: usize| normal::deviations((i as f64 + 0.5) / n as f64);
         let errors = (0..n).map(|i| scale * deviations[i] * quantile(i)).collect();
         (errors, deviations)
     }
 
     #[test]
-    fn errors_of_a_density_are_calibrated_by_it() {
-        for density in ErrorDensity::ALL {
-            let (errors, deviations) = errors(density, 4000, 1.0);
-            let found = Calibration::new(&errors, &deviations).unwrap();
-            let own = found.of(density);
-            for [expected, found] in own.coverage {
-                assert!((found - expected).abs() < 1e-3, "{found} instead of {expected}");
-            }
-            assert!(own.auce < 1e-3 && (own.nll - own.nll_best_scale).abs() < 2e-3, "{own:?}");
-            // No other density is as likely, and none has the same reliability.
-            for other in found.densities.iter().filter(|other| other.density != density) {
-                assert!(other.nll > own.nll + 0.005 && other.auce > own.auce + 0.005, "{other:?} against {own:?}");
-            }
+    fn normal_errors_are_calibrated() {
+        let (errors, deviations) = errors(4000, 1.0);
+        let found = Calibration::new(&errors, &deviations).unwrap();
+        for [expected, found] in found.coverage {
+            assert!((found - expected).abs() < 1e-3, "{found} instead of {expected}");
         }
+        assert!(found.auce < 1e-3 && (found.nll - found.nll_best_scale).abs() < 2e-3, "{found:?}");
     }
 
     #[test]
     fn a_wrong_scale_is_found() {
-        let (right, deviations) = errors(ErrorDensity::Gauss, 4000, 1.0);
+        let (right, deviations) = errors(4000, 1.0);
         let found = Calibration::new(&right, &deviations).unwrap();
         // The mean of a half normal variable; the entropy of a normal one.
         let pi = std::f64::consts::PI;
         assert!((found.mean_ratio - (2.0 / pi).sqrt()).abs() < 1e-3, "{found:?}");
         let log = deviations.iter().map(|s| s.ln()).sum::<f64>() / 4000.0;
-        let gauss = found.of(ErrorDensity::Gauss);
-        assert!((gauss.nll - 0.5 - 0.5 * (2.0 * pi).ln() - log).abs() < 2e-3, "{found:?}");
+        assert!((found.nll - 0.5 - 0.5 * (2.0 * pi).ln() - log).abs() < 2e-3, "{found:?}");
 
         // Deviations a third of what they should be: one in three within one of them, and the scale mends it.
-        let (large, deviations) = errors(ErrorDensity::Gauss, 4000, 3.0);
+        let (large, deviations) = errors(4000, 3.0);
         let narrow = Calibration::new(&large, &deviations).unwrap();
-        let narrow = narrow.of(ErrorDensity::Gauss);
-        let within = ErrorDensity::Gauss.within(1.0 / 3.0);
+        let within = normal::within(1.0 / 3.0);
         // 68 % are within 0.9945 deviations, not 1: 0.0014 less. Quantiles stand 1 / 4000 apart.
         let one = narrow.reliability[67][1];
         assert!((one - within).abs() < 2e-3, "{one} instead of {within}");
         assert!(narrow.auce > 0.25 && narrow.nll > narrow.nll_best_scale + 2.0, "{narrow:?}");
-        assert!((narrow.nll_best_scale - gauss.nll - 3_f64.ln()).abs() < 1e-3, "{narrow:?}");
+        assert!((narrow.nll_best_scale - found.nll - 3_f64.ln()).abs() < 1e-3, "{narrow:?}");
     }
 
     #[test]

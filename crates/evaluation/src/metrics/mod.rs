@@ -2,16 +2,15 @@
 
 mod calibration;
 mod conformal;
-mod density;
 mod detection;
 mod ensemble;
+pub mod normal;
 mod rank;
 mod sparsification;
 mod ssim;
 
-pub use calibration::{Calibration, DensityCalibration, PROBABILITIES};
+pub use calibration::{Calibration, PROBABILITIES};
 pub use conformal::conformal_factor;
-pub use density::ErrorDensity;
 pub use detection::Detection;
 pub use ensemble::ensemble_variance;
 pub use rank::spearman;

@@ -1,4 +1,4 @@
-//! The images beside the cameras, held against the model before a run, and those of its training.
+//! The images beside the cameras, held against the model before a run.
 
 use glam::Vec3;
 
@@ -8,8 +8,7 @@ use crate::{checks, world};
 use octobayes::Result;
 use octobayes::estimate::{Model, RaySettings};
 use octobayes::monitor::{Message, Monitor};
-use octobayes_data::Frame;
-use octobayes_depth::{Compared, TrainingImages};
+use octobayes::posterior::DataScale;
 use octobayes_evaluation::{ImageCheck, check_images};
 
 impl Session {
@@ -45,9 +44,9 @@ impl Session {
             return Ok((rays, None));
         }
         self.cameras.iter().try_for_each(|camera| model.check_camera(camera))?;
-        let renderer = model.for_images(&rays, None, monitor)?;
+        let renderer = model.for_images(&rays, monitor)?;
         let (known, offset) = (model.training_cameras(), rays.offset_for(model));
-        let found = check_images(&*renderer, known, self.frames_with_images(), offset, None, monitor)?;
+        let found = check_images(&*renderer, known, &self.views.frames, offset, None, monitor)?;
         if let Some((best, [psnr, other])) = found.as_ref().and_then(ImageCheck::clear_background) {
             tell(Message::Note(format!(
                 "{} lay behind the splats by the images beside the cameras: {psnr:.1} dB, {other:.1} dB otherwise \
@@ -64,9 +63,30 @@ impl Session {
         Ok((rays, found))
     }
 
-    /// The frames whose images are compared with the model before the run.
-    pub(super) fn frames_with_images(&self) -> &[Frame] {
-        self.images.as_ref().map_or(&*self.views.frames, TrainingImages::frames)
+    /// The noise that training left by some pixels of the images beside the cameras, which `images` gets; `None`
+    /// without any.
+    pub(super) fn noise_of_images(
+        &self,
+        model: &dyn Model,
+        rays: &RaySettings,
+        images: &mut Option<ImageCheck>,
+        monitor: &dyn Monitor,
+        tell: &mut dyn FnMut(Message),
+    ) -> Result<Option<f64>> {
+        if images.is_none() {
+            let settings = RaySettings::for_images().background(rays.background).pixel_offset(rays.pixel_offset);
+            let (renderer, offset) = (model.for_images(&settings, monitor)?, settings.offset_for(model));
+            let known = model.training_cameras();
+            *images = check_images(&*renderer, known, &self.views.frames, offset, None, monitor)?;
+        }
+        let Some(found) = images.as_ref().filter(|found| found.psnr.is_finite()) else { return Ok(None) };
+        let (least, most) = DataScale::NOISE.into_inner();
+        let noise = DataScale::noise_of(found.psnr).clamp(least, most);
+        tell(Message::Note(format!(
+            "the model shows its training images with {:.1} dB, by {} pixels: --noise {noise:.4}",
+            found.psnr, found.pixels
+        )));
+        Ok(Some(noise))
     }
 }
 
@@ -76,7 +96,7 @@ impl Prepared<'_> {
     /// fit or the message was sent already. Notes how well splats show them.
     pub(super) fn check_images(&mut self, is_frame_open: bool, tell: &mut dyn FnMut(Message)) -> Result<()> {
         let (session, stream) = (self.session, self.run.stream());
-        let (frames, offset, room) = (session.frames_with_images(), stream.pixel_offset, self.run.room_for_pictures());
+        let (frames, offset, room) = (&*session.views.frames, stream.pixel_offset, self.run.room_for_pictures());
         let found = match self.images.take() {
             Some(found) => Some(found),
             None => check_images(&*stream.source, self.model.training_cameras(), frames, offset, room, self.monitor)?,
@@ -98,18 +118,5 @@ impl Prepared<'_> {
         warnings.into_iter().for_each(|text| tell(Message::Warning(text)));
         self.images = Some(found);
         Ok(())
-    }
-
-    /// Compares the model with its training images, if they were given.
-    pub(super) fn compared(&self) -> Result<Option<Compared>> {
-        let Some(images) = &self.session.images else { return Ok(None) };
-        let of_run = self.session.rays;
-        let settings = RaySettings::for_images()
-            .background(self.session.background.unwrap_or(of_run.background))
-            .occupancy(of_run.occupancy)
-            .march_step(of_run.march_step)
-            .pixel_offset(of_run.pixel_offset);
-        let renderer = self.model.for_images(&settings, None, self.monitor)?;
-        images.compare(&*renderer, settings.offset_for(self.model), self.run.lattice(), self.monitor).map(Some)
     }
 }

@@ -55,7 +55,7 @@ pub fn surfaces(
     let mut found = Surfaces::default();
     let background = renderer.background();
     for (k, (whole, camera)) in (0..).zip(cameras.iter().zip(&strided)) {
-        let view = renderer.strided_image(whole, stride, offset, &[], &[], monitor)?;
+        let view = renderer.strided_image(whole, stride, offset, &[], monitor)?;
         let width = camera.resolution[0] as usize;
         found.pixels.push(camera.pixels());
         for (i, pixel) in view.pixels.iter().enumerate().filter(|(_, pixel)| pixel.opacity > 0.5) {

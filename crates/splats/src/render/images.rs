@@ -8,8 +8,8 @@ use octobayes::Result;
 use octobayes::geometry::{Aabb, Camera, Ray};
 use octobayes::monitor::{Monitor, check};
 use octobayes::render::{
-    CameraView, CompositingWeights, DepthVariance, ImagePoints, Outputs, Probe, RaySamples, RenderedView, Renderer,
-    VisibleSegment, WeightedRays, WeightedSamples, check_size,
+    CameraView, CompositingWeights, ImagePoints, Outputs, Probe, RaySamples, RenderedView, Renderer, VisibleSegment,
+    WeightedRays, WeightedSamples, check_size,
 };
 
 /// Rows of pixels that are composited together, so that probes are evaluated at many points at once: those of one tile.
@@ -29,10 +29,6 @@ impl Renderer for SplatRenderer<'_> {
 
     fn main_box(&self) -> Aabb {
         self.splats.main_box()
-    }
-
-    fn takes_variances(&self) -> bool {
-        true
     }
 
     fn memory(&self) -> usize {
@@ -57,12 +53,11 @@ impl Renderer for SplatRenderer<'_> {
         stride: u32,
         pixel_offset: f64,
         probes: &[Probe],
-        variances: &[&dyn DepthVariance],
         monitor: &dyn Monitor,
     ) -> Result<RenderedView> {
         check_size(camera)?;
         Self::check_cameras([camera])?;
-        let view = self.prepare(camera, if variances.is_empty() { Outputs::Colors } else { Outputs::Derivatives });
+        let view = self.prepare(camera, Outputs::Colors);
         let resolution = camera.strided(stride, pixel_offset).resolution;
         let [width, height] = resolution;
         let bands: Vec<u32> = (0..height).step_by(ROWS as usize).collect();
@@ -71,7 +66,7 @@ impl Renderer for SplatRenderer<'_> {
             let rows = first..height.min(first + ROWS);
             let at = |x: u32, y: u32| [x, y].map(|i| f64::from(i * stride) + pixel_offset);
             let points: Vec<[f64; 2]> = rows.clone().flat_map(|y| (0..width).map(move |x| at(x, y))).collect();
-            let part = view.points(&points, probes, variances);
+            let part = view.points(&points, probes);
             monitor.advance(u64::from(rows.end - rows.start));
             Ok(part)
         };
@@ -83,7 +78,7 @@ impl Renderer for SplatRenderer<'_> {
         Self::check_cameras(views.iter().map(|(camera, _)| camera))?;
         let of_view = |(camera, points): &(Camera, Vec<[f64; 2]>)| {
             check(monitor)?;
-            Ok(self.prepare(camera, Outputs::Colors).points(points, &[], &[]))
+            Ok(self.prepare(camera, Outputs::Colors).points(points, &[]))
         };
         let parts = views.iter().map(of_view).collect::<Result<Vec<RenderedView>>>()?;
         let points: usize = parts.iter().map(|part| part.pixels.len()).sum();
@@ -143,12 +138,11 @@ impl SplatView<'_> {
     }
 
     /// Renders single image points, as an image of one row.
-    fn points(&self, points: &[[f64; 2]], probes: &[Probe], variances: &[&dyn DepthVariance]) -> RenderedView {
+    fn points(&self, points: &[[f64; 2]], probes: &[Probe]) -> RenderedView {
         let rays: Vec<Ray> = points.iter().map(|&[x, y]| self.camera.ray(x, y)).collect();
         let mut quadrature = CompositingWeights::default();
         let (mut positions, mut colors, mut t) = (Vec::<Vec3>::new(), Vec::<Vec3>::new(), Vec::<f64>::new());
         let (mut samples, mut thickness) = (Vec::with_capacity(rays.len()), Vec::with_capacity(rays.len()));
-        let mut posterior_variance = vec![Vec::with_capacity(rays.len()); variances.len()];
         let mut hits = Hits::default();
         for (&at, ray) in points.iter().zip(&rays) {
             self.hits(at, &mut hits);
@@ -167,12 +161,6 @@ impl SplatView<'_> {
             // Along the view axis; along the ray it is as much longer as distances are, squared.
             let slant = ray.direction.dot(self.forward());
             thickness.push(if total > 0.0 { own / (total * slant * slant) } else { 0.0 });
-            if !variances.is_empty() {
-                let moving = if total > 0.0 { self.depth_samples(&hits, ray) } else { Vec::new() };
-                for (variance, out) in variances.iter().zip(&mut posterior_variance) {
-                    out.push(if total > 0.0 { variance.variance(&moving) } else { f64::NAN });
-                }
-            }
         }
         let weighted = WeightedRays {
             rays: &rays,
@@ -184,9 +172,8 @@ impl SplatView<'_> {
             thickness,
             background: self.renderer.background.as_dvec3(),
             bounds: self.renderer.bounds,
-            posterior_variance,
             dropped: 0,
         };
-        weighted.view(probes, variances)
+        weighted.view(probes)
     }
 }

@@ -1,10 +1,8 @@
-//! How a pixel's colour and its depth change when its splats move.
+//! How a pixel's colour changes when its splats move.
 //!
 //! With b = ∂C/∂α = T c − S/(1 − α) and g = ∂α/∂μ, the Jacobian is G = b gᵀ + w ∂c/∂μ: 3×3, row = colour channel,
 //! column = axis. Its three parts are the motion on the image, the change of the ellipse, both in g, and the change of
-//! colour with the direction of view. The expected depth D = Σ w z / Σ w moves by
-//!
-//! ∂D/∂μ = [(T (z − D) − S'/(1 − α)) g + w r₃] / Σ w, with S' = Σ_{j>i} w_j (z_j − D) and r₃ the view axis.
+//! colour with the direction of view.
 //!
 //! The displacement moves centres only: that it would also stretch a splat, Σ → (I + ∇D) Σ (I + ∇D)ᵀ, is left out.
 
@@ -14,7 +12,7 @@ use multiversion::multiversion;
 use super::project::{Footprint, Slope};
 use super::{Hit, Hits, SplatView};
 use octobayes::geometry::Ray;
-use octobayes::render::{DepthSample, RaySamples, VisibleSegment};
+use octobayes::render::{RaySamples, VisibleSegment};
 
 /// A pixel shows a splat if its share of the colour is more than this.
 const SHOWN: f64 = 0.05;
@@ -100,26 +98,5 @@ impl SplatView<'_> {
     /// Distance of a splat along the ray of a pixel that shows it, scene units: where its depth lies on the ray.
     pub(super) fn distance(&self, hit: &Hit, ray: &Ray) -> f64 {
         self.footprints[hit.footprint as usize].depth / ray.direction.dot(self.forward())
-    }
-
-    /// ∂d/∂μ of the expected distance d along `ray`, for all hits, front to back. None without hits.
-    pub(super) fn depth_samples(&self, hits: &Hits, ray: &Ray) -> Vec<DepthSample> {
-        let depth = |hit: &Hit| self.footprints[hit.footprint as usize].depth;
-        let total: f64 = hits.list.iter().map(Hit::weight).sum();
-        let mean = hits.list.iter().map(|hit| hit.weight() * depth(hit)).sum::<f64>() / total;
-        let (forward, mut behind) = (self.forward(), 0.0);
-        let scale = 1.0 / (total * ray.direction.dot(forward));
-        let mut samples: Vec<DepthSample> = Vec::with_capacity(hits.list.len());
-        for hit in hits.list.iter().rev() {
-            let offset = depth(hit) - mean;
-            let by_alpha = hit.before * offset - behind / (1.0 - hit.alpha);
-            let slope = &self.slopes[hit.footprint as usize];
-            let [x, y, z, _] = slope.of(hit);
-            let gradient = scale * (by_alpha * DVec3::new(x, y, z) + hit.weight() * forward);
-            samples.push(DepthSample { position: self.renderer.splats().mean(self.splat(hit)), gradient });
-            behind += hit.weight() * offset;
-        }
-        samples.reverse();
-        samples
     }
 }

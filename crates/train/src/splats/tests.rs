@@ -45,7 +45,7 @@ fn images_are_those_of_the_renderer() {
     let image = Picture::new(&rows, &near(), MAX_DEGREE).image(BACKGROUND);
     let splats = splats(&rows, MAX_DEGREE).unwrap();
     let renderer = SplatRenderer::new(&splats, BACKGROUND);
-    let view = renderer.image(&near(), 0.5, &[], &[], &Silent).unwrap();
+    let view = renderer.image(&near(), 0.5, &[], &Silent).unwrap();
     let mut away: Vec<f64> = (image.iter().zip(&view.pixels))
         .map(|(found, pixel)| (found.as_dvec3() - pixel.color).abs().max_element())
         .collect();
@@ -197,7 +197,7 @@ fn training_shows_held_out_images_and_the_renderer_agrees() {
     assert!((61..=78).contains(&trainer.len()), "{}", trainer.len());
     let splats: Splats = trainer.splats().unwrap();
     let renderer = SplatRenderer::new(&splats, Vec3::ONE);
-    let view = renderer.image(&held_out[0].camera, 0.5, &[], &[], &Silent).unwrap();
+    let view = renderer.image(&held_out[0].camera, 0.5, &[], &Silent).unwrap();
     let found: Vec<DVec3> = view.pixels.iter().map(|pixel| pixel.color).collect();
     let truth: Vec<DVec3> = (0..found.len()).map(|i| held_out[0].image.over(i, DVec3::ONE)).collect();
     assert!((octobayes::metrics::psnr(&found, &truth) - after).abs() < 0.01);

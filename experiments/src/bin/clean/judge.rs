@@ -91,11 +91,11 @@ pub struct Images {
 
 impl Images {
     pub fn of(model: &dyn Model, truth: &Truth) -> Result<Self> {
-        let renderer = model.for_images(&RaySettings::for_images().background(Vec3::ONE), None, &Silent)?;
+        let renderer = model.for_images(&RaySettings::for_images().background(Vec3::ONE), &Silent)?;
         let mut sums = [0.0; 7];
         for view in &truth.held_out {
             let [width, height] = view.camera.resolution;
-            let image = renderer.image(&view.camera, 0.5, &[], &[], &Silent)?;
+            let image = renderer.image(&view.camera, 0.5, &[], &Silent)?;
             let at = |i: u32| [i % width, i / width].map(|v| f64::from(v) + 0.5);
             let samples = renderer.weighted(&[(view.camera, (0..width * height).map(at).collect())], &Silent)?;
             for (i, pixel) in image.pixels.iter().enumerate() {

@@ -71,7 +71,7 @@ pub fn measure(scene: &Scene) -> Result<Row> {
     let data = Dataset::open(scene, made.path())?;
     let model = scene.architecture.model(&data)?;
     let field = Estimation::new(&model, &data.cameras()).rays(rays()).run()?.field;
-    let shown = model.for_images(&RaySettings::for_images(), None, &Silent)?;
+    let shown = model.for_images(&RaySettings::for_images(), &Silent)?;
     let stride = (data.test[0].camera.resolution[0] / COMPARED).max(1);
     let truths = spread(&data.test)
         .map(|frame| TrueView::read(frame, None, DVec3::ONE, model.pixel_offset(), stride))

@@ -86,9 +86,8 @@ fn entropy(weights: &[f64], end_transmittance: f64) -> f64 {
 /// ψ² of density-aware ensembles (Sünderhauf, Abou-Chakra, Miller 2023) for the pixels of a view: the variance of the
 /// colour over the members, averaged over channels, plus (1 − q̄)², where q̄ is the members' mean opacity.
 pub fn density_aware(members: &[&dyn Renderer], truth: &TrueView, pixels: &[usize]) -> Result<Vec<f64>> {
-    let render = |member: &&dyn Renderer| {
-        member.strided_image(&truth.whole, truth.stride, truth.pixel_offset, &[], &[], &Silent)
-    };
+    let render =
+        |member: &&dyn Renderer| member.strided_image(&truth.whole, truth.stride, truth.pixel_offset, &[], &Silent);
     let views: Vec<RenderedView> = members.iter().map(render).collect::<Result<_>>()?;
     let n = views.len() as f64;
     let of = |&i: &usize| {

@@ -4,8 +4,8 @@ use crate::judge::LEVELS;
 
 /// Appends the candidates for ranking and their controls to what the evaluator measured.
 ///
-/// `weights` is the variance of the ray's weights, `posterior` that of the displacements.
-pub fn candidates(all: &mut Vec<(String, Vec<f64>)>, weights: &[f64], posterior: &[f64]) {
+/// `weights` is the variance of the ray's weights.
+pub fn candidates(all: &mut Vec<(String, Vec<f64>)>, weights: &[f64]) {
     let of = |name: String| &all.iter().find(|(found, _)| *found == name).expect("a measure of the evaluator").1;
     let spread = LEVELS.map(|level| of(format!("block {level}, u-spread")));
     let per_ray = of("weights' spread / rays".into());
@@ -19,15 +19,7 @@ pub fn candidates(all: &mut Vec<(String, Vec<f64>)>, weights: &[f64], posterior:
             "block, mean of levels, u-spread-per-root-ray".into(),
             pixels.clone().map(|i| levels(i) - 0.5 * rays(i)).collect(),
         ),
-        (
-            format!("block {}, u-spread-per-root-ray", LEVELS[1]),
-            pixels.clone().map(|i| spread[1][i] - 0.5 * rays(i)).collect(),
-        ),
-        ("sqrt(10 Var + s²)".into(), pixels.clone().map(|i| 10.0 * posterior[i] + weights[i]).collect()),
-        (
-            "sqrt(10 Var + s²) / sqrt(rays)".into(),
-            pixels.map(|i| 0.5 * (10.0 * posterior[i] + weights[i]).log10() - 0.5 * rays(i)).collect(),
-        ),
+        (format!("block {}, u-spread-per-root-ray", LEVELS[1]), pixels.map(|i| spread[1][i] - 0.5 * rays(i)).collect()),
     ];
     all.extend(found);
 }

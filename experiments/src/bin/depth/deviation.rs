@@ -13,8 +13,8 @@ use octobayes::posterior::{DataScale, Scale};
 use octobayes::render::{RayAverage, Renderer};
 use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
-use octobayes_depth::{DepthDeviation, LEVEL, Sweep, TrainingViews};
-use octobayes_evaluation::metrics::{ErrorDensity, ErrorKind, PROBABILITIES, sparsification};
+use octobayes_depth::{DepthDeviation, LEVEL, Sweep, TrainingViews, pixel_angle};
+use octobayes_evaluation::metrics::{ErrorKind, PROBABILITIES, normal, sparsification};
 use octobayes_evaluation::{Baseline, Evaluator, Measure, PixelKind, Reading, TrueView};
 use octobayes_train::{SplatSettings, SplatTrainer, Training};
 use serde::{Deserialize, Serialize};
@@ -49,8 +49,8 @@ pub struct Row {
     pub error: f64,
     /// AUSE by mean absolute and root mean square error, of [`MEASURES`].
     pub ause: [[f64; 2]; MEASURES.len()],
-    /// Share of errors within nominal intervals: of √(Var + s²) with Student's t, and of both deviations, as if errors
-    /// were normal.
+    /// Share of errors within nominal intervals, as if errors were normal: of the spread of the weights alone, and of
+    /// both deviations.
     pub held: [[f64; NOMINAL]; 3],
     /// Error and terms of some pixels.
     pub kept: Vec<[f32; 5]>,
@@ -67,8 +67,8 @@ pub fn measure(scene: &Scene, kind: Kind, seed: u64, others: u64) -> Result<Vec<
     let members = (1..=others).map(|i| scene.train(&data, 1000 + 100 * seed + i)).collect::<Result<Vec<_>>>()?;
     let (fields, _) = judge::uncertainties(&data, &model.field, model.psnr, judge::rays().seed(seed))?;
     let settings = RaySettings::for_images();
-    let renderer = (&model.field as &dyn Model).for_images(&settings, Some(fields[0].lattice()), &Silent)?;
-    let members = members.iter().map(|other| (&other.field as &dyn Model).for_images(&settings, None, &Silent));
+    let renderer = (&model.field as &dyn Model).for_images(&settings, &Silent)?;
+    let members = members.iter().map(|other| (&other.field as &dyn Model).for_images(&settings, &Silent));
     let members = members.collect::<Result<Vec<_>>>()?;
     judge_views(&data, &*renderer, &members.iter().map(|member| &**member).collect::<Vec<_>>(), &fields)
 }
@@ -90,7 +90,7 @@ fn of_splats(scene: &Scene, data: &Data, seed: u64) -> Result<Vec<Row>> {
     };
     let fields = LEVELS.iter().map(field).collect::<Result<Vec<_>>>()?;
     let settings = RaySettings::for_images().background(Vec3::ONE);
-    let renderer = (&splats as &dyn Model).for_images(&settings, Some(fields[0].lattice()), &Silent)?;
+    let renderer = (&splats as &dyn Model).for_images(&settings, &Silent)?;
     judge_views(data, &*renderer, &[], &fields)
 }
 
@@ -107,8 +107,9 @@ fn judge_views(
     let photographs = data.photographs(offset);
     assert_eq!(LEVELS[0], LEVEL, "the field of the deviation");
     let baked = BakedField::unbaked(&fields[0]);
-    let alone = DepthDeviation::new(&baked, None)?;
-    let joined = DepthDeviation::new(&baked, Some(Sweep::new(&photographs, &training)))?;
+    let angle = pixel_angle(&data.cameras);
+    let alone = DepthDeviation::new(&baked, None, angle)?;
+    let joined = DepthDeviation::new(&baked, Some(Sweep::new(&photographs, &training)), angle)?;
     let reading =
         |name: &str, field: &UncertaintyField, averages| Reading { name: name.into(), field: field.clone(), averages };
     let readings =
@@ -120,7 +121,6 @@ fn judge_views(
     let measures = evaluator.measures();
     let index = |wanted: Measure| measures.iter().position(|measure| *measure == wanted);
     let default = index(Measure::Reading(1, RayAverage::USpreadPerRootRay)).expect("a reading with an average");
-    let old = index(Measure::DepthDeviation(0));
     let ensemble = index(Measure::Baseline(Baseline::EnsembleVariance));
     let jump = octobayes_evaluation::JUMP * DataScale::longest_edge(fields[0].lattice().domain());
     let held_out: Vec<TrueView> = data.held_out_with(offset, 1, jump)?.into_iter().step_by(EVERY).collect();
@@ -133,14 +133,14 @@ fn judge_views(
             let object = view.of_kind(PixelKind::Object);
             let by_field = alone.of_view(renderer, &truth.camera, offset, &view.rendered, &Silent)?;
             let of_images = joined.terms(renderer, &truth.camera, offset, &view.rendered, &Silent)?;
-            let by_images = joined.of_terms(renderer, &of_images);
+            let by_images = joined.of_terms(renderer, &of_images, &view.rendered);
             for (k, &i) in view.pixels.iter().enumerate() {
                 if !object.is_none_or(|is| is[k]) || by_images[i].is_nan() {
                     continue;
                 }
                 errors.push(view.absolute_error[k]);
                 let value = |m: Option<usize>| m.map_or(f64::NAN, |m| view.measures[m][k]);
-                let values = [view.measures[default][k], by_field[i], by_images[i], value(ensemble), value(old)];
+                let values = [view.measures[default][k], by_field[i], by_images[i], value(ensemble), view.spread[k]];
                 found.iter_mut().zip(values).for_each(|(all, value)| all.push(value));
                 let [s, u, b, e] = of_images[i];
                 terms.push([view.absolute_error[k], s, u, b, e].map(|v| v as f32));
@@ -150,24 +150,19 @@ fn judge_views(
             continue;
         }
         let area = |values: &[f64], kind| sparsification(values, &errors, kind).map_or(f64::NAN, |found| found.area);
-        let held = |sigma: &[f64], density: ErrorDensity| {
+        let held = |sigma: &[f64]| {
             std::array::from_fn(|p| {
-                let within = density.deviations(PROBABILITIES[p]);
+                let within = normal::deviations(PROBABILITIES[p]);
                 errors.iter().zip(sigma).filter(|(e, s)| **e <= within * **s).count() as f64 / errors.len() as f64
             })
         };
-        let normal = ErrorDensity::Gauss;
         let mut sorted = errors.clone();
         sorted.sort_unstable_by(f64::total_cmp);
         rows.push(Row {
             are_own,
             error: sorted[sorted.len() / 2],
             ause: std::array::from_fn(|m| [ErrorKind::Mae, ErrorKind::Rmse].map(|kind| area(&found[m], kind))),
-            held: [
-                held(&found[MEASURES.len()], ErrorDensity::PREDICTIVE),
-                held(&found[1], normal),
-                held(&found[2], normal),
-            ],
+            held: [MEASURES.len(), 1, 2].map(|m| held(&found[m])),
             kept: terms.iter().step_by(terms.len().div_ceil(KEPT)).copied().collect(),
         });
     }
@@ -176,6 +171,15 @@ fn judge_views(
 
 /// A line for each scene and kind of views, and their means.
 pub fn table(names: &[String], rows: &[Vec<Row>]) -> String {
+    written(names, rows, true)
+}
+
+/// The lines alone, of what has no common mean.
+pub fn lines(names: &[String], rows: &[Vec<Row>]) -> String {
+    written(names, rows, false)
+}
+
+fn written(names: &[String], rows: &[Vec<Row>], has_means: bool) -> String {
     let head = [
         "scene",
         "views",
@@ -188,7 +192,7 @@ pub fn table(names: &[String], rows: &[Vec<Row>]) -> String {
         "RMSE",
         "ensemble of five: MAE",
         "RMSE",
-        "√(Var + s²): 50, 68, 90, 95 % hold",
+        "s alone: 50, 68, 90, 95 % hold",
         "field alone",
         "with images",
     ]; // fmt: skip
@@ -212,7 +216,7 @@ pub fn table(names: &[String], rows: &[Vec<Row>]) -> String {
     }
     for are_own in [false, true] {
         let of: Vec<&Row> = rows.iter().flatten().filter(|row| row.are_own == are_own).collect();
-        if of.len() > 1 {
+        if has_means && of.len() > 1 {
             line("mean", &of);
         }
     }

@@ -8,19 +8,16 @@ use octobayes::geometry::Domain;
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{GradientMethod, RayAverage, Renderer, VolumeRenderer};
-use octobayes::uncertainty::{Residuals, UncertaintyField};
+use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
-use octobayes_depth::{TrainingViews, compare_images};
-use octobayes_evaluation::metrics::{
-    Calibration, Detection, ErrorDensity, ErrorKind, PROBABILITIES, sparsification, spearman,
-};
-use octobayes_evaluation::{DepthError, EvaluatedView, Evaluator, Measure, Reading, TrueView};
+use octobayes_depth::TrainingViews;
+use octobayes_evaluation::metrics::{Detection, ErrorKind, sparsification, spearman};
+use octobayes_evaluation::{DepthError, EvaluatedView, Evaluator, Measure, Reading};
 use serde::{Deserialize, Serialize};
 
 use crate::baselines::{Baselines, density_aware};
 use crate::candidates::candidates;
 use crate::parameters::ParameterPosteriors;
-use crate::regression::Regression;
 use crate::scene::{Data, Model, Scene};
 use crate::warp::Warp;
 use common::clock::Clock;
@@ -30,28 +27,9 @@ use common::table::mean;
 pub const LEVELS: [u8; 3] = [7, 6, 5];
 /// Every so many pixels of a held-out view are compared, along x and y.
 pub const STRIDE: u32 = 2;
-/// About so many pixels are kept of each model, for fits over scenes.
-const KEPT: usize = 4000;
 
 /// Baselines that are not the evaluator's, in the manner of what they are called after.
-const BESIDE: [&str; 4] = [
-    "warped depth (WarpRF)",
-    "warped colour (WarpRF)",
-    "residual regression (PRIMU)",
-    "residuals of the training images",
-];
-
-/// What is known of a pixel.
-#[derive(Clone, Copy, Serialize, Deserialize)]
-pub struct Kept {
-    /// Absolute error of depth, scene units.
-    pub error: f32,
-    /// Variance of the ray's weights, and that of the posterior, squared scene units.
-    pub weights: f32,
-    pub posterior: f32,
-    /// Residual of training images there, colours from 0 to 1.
-    pub residuals: f32,
-}
+const BESIDE: [&str; 2] = ["warped depth (WarpRF)", "warped colour (WarpRF)"];
 
 /// How well a measure ranks errors, and tells what was never seen.
 #[derive(Clone, Serialize, Deserialize)]
@@ -65,28 +43,13 @@ pub struct Scored {
     pub never_seen: Option<Detection>,
 }
 
-/// One deviation of depth, by one density of errors.
-#[derive(Clone, Serialize, Deserialize)]
-pub struct Bar {
-    /// Shares of errors within the intervals of [`PROBABILITIES`].
-    pub held: [f64; PROBABILITIES.len()],
-    pub auce: f64,
-    /// With the deviations as they are, and with the best common scale.
-    pub nll: [f64; 2],
-}
-
 /// One model.
 #[derive(Clone, Serialize, Deserialize)]
 pub struct Row {
     pub psnr: f64,
     /// Median error of depth, scene units.
     pub error: f64,
-    /// Longest edge of the field's box, scene units.
-    pub edge: f64,
-    /// By [`ErrorDensity::PREDICTIVE`] and as if errors were normal; then the ray's weights alone, by the former.
-    pub bars: [Bar; 3],
     pub scored: Vec<Scored>,
-    pub kept: Vec<Kept>,
     /// Processor seconds: training, uncertainty at the first level, evaluation; training the others of an ensemble.
     pub seconds: [f64; 4],
 }
@@ -142,22 +105,6 @@ pub fn uncertainties(
     Ok((fields, summed))
 }
 
-/// Residuals of training images at the expected depths of a view's pixels.
-pub fn pixel_residuals(
-    evaluator: &Evaluator,
-    residuals: &Residuals,
-    truth: &TrueView,
-    view: &EvaluatedView,
-) -> Vec<f64> {
-    let width = truth.camera.resolution[0] as usize;
-    let at = |&i: &usize| {
-        let [x, y] = [i % width, i / width].map(|n| n as f64 + truth.pixel_offset);
-        let x = truth.camera.ray(x, y).at(view.rendered.pixels[i].expected_depth);
-        residuals.at(evaluator.model.bounds().clamp(x.as_vec3()))
-    };
-    view.pixels.iter().map(at).collect()
-}
-
 /// The readings of the levels by `block`, and the first by `diagonal`.
 fn readings(fields: Vec<UncertaintyField>) -> Result<Vec<Reading>> {
     let mut readings = Vec::new();
@@ -184,26 +131,19 @@ pub fn judge(
 ) -> Result<Row> {
     let settings = RaySettings::for_images();
     let pixel_offset = field.pixel_offset();
-    let differentiation = settings.differentiation(field, fields[0].lattice())?;
     let tracer = settings.tracer(field, 0.0, &Silent)?;
     let cameras = data.strided_cameras(pixel_offset);
-    let plain = VolumeRenderer { tracer: tracer.clone(), differentiation: None };
-    let model = VolumeRenderer { differentiation: Some(differentiation), ..plain.clone() };
-    let training = TrainingViews::render(&plain, &cameras, pixel_offset, &Silent)?;
-    let images = data.for_residuals(pixel_offset).into_iter().map(Ok);
-    let residuals = compare_images(&plain, images, fields[0].lattice(), &Silent)?.residuals;
-    let edge = DataScale::longest_edge(fields[0].lattice().domain());
+    let model = VolumeRenderer { tracer: tracer.clone(), differentiation: None };
+    let training = TrainingViews::render(&model, &cameras, pixel_offset, &Silent)?;
     let warp = Warp::render(&tracer, &cameras, pixel_offset)?;
     let readings = readings(fields)?;
     let tracers = others.iter().map(|other| settings.tracer(&other.field, 0.0, &Silent));
     let members = tracers.map(|tracer| Ok(VolumeRenderer { tracer: tracer?, differentiation: None }));
     let members = members.collect::<Result<Vec<_>>>()?;
-    let mut evaluator = Evaluator { training: Some(&training), ..Evaluator::new(&plain, &readings) };
+    let mut evaluator = Evaluator { training: Some(&training), ..Evaluator::new(&model, &readings) };
     let baselines = Baselines { tracer: &tracer, field: &readings[0].field, training: &training };
-    let regression = Regression::fit(&evaluator, &baselines, &residuals, &data.for_regression(pixel_offset))?;
-    evaluator.model = &model;
     if !members.is_empty() {
-        evaluator.members = members.iter().chain([&plain]).map(|member| member as &dyn Renderer).collect();
+        evaluator.members = members.iter().chain([&model]).map(|member| member as &dyn Renderer).collect();
     }
     let (mut views, mut unseen) = (Vec::new(), Vec::new());
     let empty = |names: &[&str]| names.iter().map(|name| ((*name).to_owned(), Vec::new())).collect::<Vec<_>>();
@@ -226,14 +166,11 @@ pub fn judge(
             beside[0].1.push(warped.depth);
             beside[1].1.push(warped.color);
         }
-        let pixel_residuals = pixel_residuals(&evaluator, &residuals, &truth, &view);
         let found = baselines.of(&truth, &view);
-        beside[2].1.extend(regression.of(&view, &found, &pixel_residuals));
         own.iter_mut().zip(found).for_each(|((_, all), values)| all.extend(values));
         if !members.is_empty() {
             own[Baselines::NAMES.len()].1.extend(density_aware(&evaluator.members, &truth, &view.pixels)?);
         }
-        beside[3].1.extend(pixel_residuals);
         if let Some(parameters) = parameters {
             for ((_, all), values) in beside[BESIDE.len()..].iter_mut().zip(parameters.of(&truth, &view)) {
                 all.extend(values);
@@ -242,28 +179,20 @@ pub fn judge(
         views.push(view);
     }
     beside.extend(own);
-    // Maps with steps tell the depth to within a step, all values of which are as likely.
-    row(&evaluator, &views, beside, &unseen, data.depth_step.powi(2) / 12.0)
-        .map(|row| Row { edge, ..row })
+    row(&evaluator, &views, beside, &unseen)
         .ok_or_else(|| Error::malformed(&data.folder, "views", "errors of depth, and finite deviations", "none"))
 }
 
-/// `truth` is the variance of the depth maps themselves, squared scene units.
 fn row(
     evaluator: &Evaluator,
     views: &[EvaluatedView],
     beside: Vec<(String, Vec<f64>)>,
     unseen: &[bool],
-    truth: f64,
 ) -> Option<Row> {
     let measures = evaluator.measures();
-    let index = |measure| measures.iter().position(|found| *found == measure);
     let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
     let pooled = |m: usize| -> Vec<f64> { views.iter().flat_map(|view| &view.measures[m]).copied().collect() };
     let weights: Vec<f64> = views.iter().flat_map(|view| &view.spread).map(|spread| spread * spread).collect();
-    let deviation = pooled(index(Measure::DepthDeviation(0))?);
-    let posterior: Vec<f64> = deviation.iter().zip(&weights).map(|(d, w)| (d * d - w).max(0.0)).collect();
-    let residuals = beside[BESIDE.len() - 1].1.clone();
     let mut all = Vec::new();
     for (m, &measure) in measures.iter().enumerate() {
         let (name, values) = (evaluator.name(measure), pooled(m));
@@ -276,37 +205,13 @@ fn row(
         }
     }
     all.extend(beside);
-    candidates(&mut all, &weights, &posterior);
+    candidates(&mut all, &weights);
     let counts: Vec<usize> = views.iter().map(|view| view.absolute_error.len()).collect();
     let scored = all.iter().map(|(name, values)| score(name, values, &errors, &counts, unseen));
-    let every = errors.len().div_ceil(KEPT);
-    let kept = |i: usize| Kept {
-        error: errors[i] as f32,
-        weights: weights[i] as f32,
-        posterior: posterior[i] as f32,
-        residuals: residuals[i] as f32,
-    };
-    let calibration = |variances: &mut dyn Iterator<Item = f64>| {
-        Calibration::new(&errors, &variances.map(|v| (v + truth).sqrt()).collect::<Vec<_>>())
-    };
-    let full = calibration(&mut deviation.iter().map(|d| d * d))?;
-    let alone = calibration(&mut weights.iter().copied())?;
-    let bar = |calibration: &Calibration, density| {
-        let found = calibration.of(density);
-        let nll = [found.nll, found.nll_best_scale];
-        Bar { held: found.coverage.map(|[_, share]| share), auce: found.auce, nll }
-    };
     Some(Row {
         psnr: mean(&views.iter().map(|view| view.psnr).collect::<Vec<_>>()),
         error: DepthError::new(views)?.median,
-        edge: 0.0,
-        bars: [
-            bar(&full, ErrorDensity::PREDICTIVE),
-            bar(&full, ErrorDensity::Gauss),
-            bar(&alone, ErrorDensity::PREDICTIVE),
-        ],
         scored: scored.collect::<Option<_>>()?,
-        kept: (0..errors.len()).step_by(every).map(kept).collect(),
         seconds: [0.0; 4],
     })
 }

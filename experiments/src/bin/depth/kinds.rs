@@ -62,6 +62,7 @@ pub fn measure(scene: &Scene, seed: u64) -> Result<Vec<Row>> {
         depth: data.depth_files(),
         object_masks: None,
         training_depth: Some(data.folder.join("depth")),
+        images: None,
         calibrate: None,
         clean_up: false,
         curves: false,
@@ -71,7 +72,7 @@ pub fn measure(scene: &Scene, seed: u64) -> Result<Vec<Row>> {
     let report = prepared.judge(&octobayes::monitor::Silent, &mut |_| {})?.report;
     let two = |ause: Option<ByError>| ause.map_or([f64::NAN; 2], |ause| [ause.mae, ause.rmse]);
     let held = |calibration: Option<&Calibration>| {
-        let found = calibration.map(|calibration| calibration.predictive().coverage.map(|[_, held]| held));
+        let found = calibration.map(|calibration| calibration.coverage.map(|[_, held]| held));
         found.unwrap_or([f64::NAN; NOMINAL])
     };
     let control = Baseline::WeightsSpreadPerRootRay.name();

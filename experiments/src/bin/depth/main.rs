@@ -7,25 +7,18 @@
 
 mod baselines;
 mod candidates;
-mod correlations;
 mod deviation;
-mod full;
-mod joint;
 mod judge;
 mod kinds;
-mod misses;
 mod parameters;
 mod pictures;
 mod pretrained;
-mod regression;
 mod scene;
 mod tables;
 mod warp;
 
-use std::path::Path;
-
+use octobayes::Result;
 use octobayes::render::RayAverage;
-use octobayes::{Error, Result};
 use octobayes_evaluation::Baseline;
 use octobayes_synth::Up;
 
@@ -89,9 +82,6 @@ const JUDGED: [((&str, Up), Seen); 8] = [
 const BESIDE_ENSEMBLES: usize = 3;
 /// Lego has its own block: its depth maps have steps wider than many errors.
 const OF_LEGO: [((&str, Up), Seen); 4] = [(LEGO, FEW), (LEGO, HALF), (LEGO, HOLE), (LEGO, SIDE_ONLY)];
-/// Lego from few to all of its views.
-const LEGO_BY_VIEWS: [((&str, Up), Seen); 4] =
-    [(LEGO, Seen::Few(5)), (LEGO, Seen::Few(10)), (LEGO, Seen::Few(20)), (LEGO, Seen::Few(100))];
 /// Photographs, with the depth of a sensor.
 const OF_A_KITCHEN: [((&str, Up), Seen); 1] = [(KITCHEN, Seen::Few(15))];
 
@@ -113,25 +103,17 @@ fn main() -> Result<()> {
             ("ensembles", Needs::Data),
             ("strong", Needs::Data),
             ("lego", Needs::Data),
-            ("lego-by-views", Needs::Data),
             ("kitchen", Needs::Data),
             ("kinds", Needs::Data),
             ("deviation", Needs::Data),
             ("deviation-elsewhere", Needs::Data),
             ("pretrained", Needs::Data),
-            ("misses", Needs::Data),
-            ("correlations", Needs::Data),
         ],
     )?;
     program.part("built-in", |work| {
         let scenes = scenes(&[(KNOT, FEW), (KNOT, HALF)], STEPS);
         let rows = study(work, &scenes, &SEEDS, 1)?;
-        let text = [
-            tables::coverage(&names(&scenes), &rows),
-            tables::beside(&rows, &meshes(&scenes), Baseline::RayVariance.name()),
-            tables::lengths("", &rows, 0.0),
-        ];
-        Ok((settings(STEPS, &SEEDS), text.join("\n")))
+        Ok((settings(STEPS, &SEEDS), tables::beside(&rows, &meshes(&scenes), Baseline::RayVariance.name())))
     })?;
     program.part("pictures", |_| {
         let scene = scenes(&[(KNOT, FEW)], STRONG)[0];
@@ -146,12 +128,8 @@ fn main() -> Result<()> {
         let rows = study(work, &scenes, &SEEDS, 1)?;
         let (choosing, testing) = rows.split_at(CHOOSING.len());
         let text = [
-            tables::coverage(&names(&scenes), &rows),
             tables::ranking(choosing, testing, &meshes(&scenes[CHOOSING.len()..])),
             tables::never_seen(testing),
-            tables::joint(&scenes, &rows),
-            tables::lengths(", scenes that choose", choosing, 0.0),
-            tables::lengths(", scenes that have no say", testing, 0.0),
             tables::costs(&rows),
         ];
         Ok((settings(STEPS, &SEEDS), text.join("\n")))
@@ -166,28 +144,24 @@ fn main() -> Result<()> {
         let scenes = scenes(&TESTING, STRONG);
         let rows = study(work, &scenes, &SEEDS, 1)?;
         let text = [
-            tables::coverage(&names(&scenes), &rows),
             tables::beside(&rows, &meshes(&scenes), &default_ranking()),
             tables::never_seen(&rows),
-            tables::lengths("", &rows, 0.0),
             tables::costs(&rows),
         ];
         Ok((settings(STRONG, &SEEDS), text.join("\n")))
     })?;
     program.part("lego", |work| of_lego(work, &OF_LEGO))?;
-    program.part("lego-by-views", |work| of_lego(work, &LEGO_BY_VIEWS))?;
     program.part("kitchen", |work| {
         let scenes = scenes(&OF_A_KITCHEN, STEPS);
         let rows = study(work, &scenes, &SEEDS, 1)?;
         let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
-        let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths("", &rows, 0.0)];
         let (described, of, pixels) = (describe(&rays(), &grid(), &[]), seeds(&SEEDS), compared(STRIDE));
         let settings = format!("320 × 240 pixels, {STEPS} steps; {pixels} of the 10 held-out views. {described} {of}");
-        Ok((settings, text.join("\n")))
+        Ok((settings, ranking))
     })?;
     program.part("kinds", |work| {
         let measure = |scene: &Scene| work.row((scene.name(), scene.steps), || kinds::measure(scene, SEEDS[0]));
-        let rows = scenes(&TESTING, STEPS).iter().map(measure).collect::<Result<Vec<_>>>()?;
+        let rows = scenes(&JUDGED[..4], STEPS).iter().map(measure).collect::<Result<Vec<_>>>()?;
         Ok((settings(STEPS, &SEEDS[..1]), kinds::table(&rows)))
     })?;
     program.part("deviation", |work| {
@@ -206,104 +180,51 @@ fn main() -> Result<()> {
     })?;
     program.part("deviation-elsewhere", |work| {
         use deviation::Kind::{Splats, Volume};
-        let cases = [
-            (scenes(&[(LEGO, Seen::Few(20))], STEPS)[0], Volume),
-            (scenes(&OF_A_KITCHEN, STEPS)[0], Volume),
-            (scenes(&[(ARMADILLO, FEW)], STEPS)[0], Splats),
-            (scenes(&[(NEFERTITI, HALF)], STEPS)[0], Splats),
-            (scenes(&[(LEGO, Seen::Few(20))], STEPS)[0], Splats),
-        ];
-        let measure = |(scene, kind): &(Scene, deviation::Kind)| {
-            work.row((scene.name(), scene.steps, kind), || deviation::measure(scene, *kind, SEEDS[0], 0))
+        let case = |case: ((&'static str, Up), Seen), steps: u64, kind, seed: usize| {
+            (scenes(&[case], steps)[0], kind, SEEDS[seed])
         };
-        let name = |(scene, kind): &(Scene, deviation::Kind)| {
-            if *kind == Splats { format!("{}, splats", scene.name()) } else { scene.name() }
+        let lego = (LEGO, Seen::Few(20));
+        let cases = [
+            case(lego, STEPS, Volume, 0),
+            case(OF_A_KITCHEN[0], STEPS, Volume, 0),
+            case((ARMADILLO, FEW), STEPS, Splats, 0),
+            case((NEFERTITI, HALF), STEPS, Splats, 0),
+            case(lego, STEPS, Splats, 0),
+            case((KNOT, FEW), STEPS, Volume, 0),
+            case((KNOT, HALF), STEPS, Volume, 0),
+            case((ARMADILLO, FEW), STRONG, Volume, 0),
+            case((NEFERTITI, HALF), STRONG, Volume, 0),
+            case((ARMADILLO, HALF), STEPS, Volume, 1),
+            case((NEFERTITI, HOLE), STEPS, Volume, 1),
+        ];
+        let measure = |(scene, kind, seed): &(Scene, deviation::Kind, u64)| {
+            work.row((scene.name(), scene.steps, kind, seed), || deviation::measure(scene, *kind, *seed, 0))
+        };
+        let name = |(scene, kind, seed): &(Scene, deviation::Kind, u64)| {
+            let steps = if scene.steps == STRONG { format!(", {STRONG} steps") } else { String::new() };
+            let seed = if *seed == SEEDS[0] { String::new() } else { format!(", seed {seed}") };
+            let splats = if *kind == Splats { ", splats" } else { "" };
+            format!("{}{splats}{steps}{seed}", scene.name())
         };
         let rows = cases.iter().map(measure).collect::<Result<Vec<_>>>()?;
-        let text = deviation::table(&cases.iter().map(name).collect::<Vec<_>>(), &rows);
+        let text = deviation::lines(&cases.iter().map(name).collect::<Vec<_>>(), &rows);
         Ok((deviation_settings("200 × 200 (lego 400 × 400, kitchen 320 × 240)"), text))
     })?;
     program.part("pretrained", |work| {
         let row = |name: &&str| Ok(vec![work.row(name, || pretrained::measure(name))?]);
         let rows = pretrained::NAMES.iter().map(row).collect::<Result<Vec<_>>>()?;
-        let names = pretrained::NAMES.map(str::to_owned);
-        let text = [
-            tables::coverage(&names, &rows),
-            tables::beside(&rows, &["lego"; pretrained::NAMES.len()], &default_ranking()),
-            tables::lengths("", &rows, scene::LEGO_STEP.powi(2) / 12.0),
-            tables::costs(&rows),
-        ];
+        let text =
+            [tables::beside(&rows, &["lego"; pretrained::NAMES.len()], &default_ranking()), tables::costs(&rows)];
         Ok((pretrained::settings(), text.join("\n")))
-    })?;
-    program.part("misses", |work| {
-        let scenes = scenes(&MISSED, STEPS);
-        let mut names = names(&scenes);
-        let trained = |scene: &Scene, degrees: f64, seed: &u64| {
-            work.row((scene.name(), scene.steps, degrees, *seed), || {
-                let folder =
-                    tempfile::tempdir().map_err(Error::io(Path::new("a temporary folder"), "cannot create"))?;
-                let data = scene.data(folder.path())?.turned(degrees);
-                let model = scene.train(&data, *seed)?;
-                misses::judge(&data, &model.field, model.psnr, rays().seed(*seed))
-            })
-        };
-        let mut rows = Vec::new();
-        for scene in &scenes {
-            rows.push(MISSED_SEEDS.iter().map(|seed| trained(scene, 0.0, seed)).collect::<Result<Vec<_>>>()?);
-        }
-        for degrees in TURNED {
-            names.push(format!("{}, poses off by {degrees}°", scenes[0].name()));
-            rows.push(MISSED_SEEDS.iter().map(|seed| trained(&scenes[0], degrees, seed)).collect::<Result<Vec<_>>>()?);
-        }
-        for name in pretrained::NAMES {
-            names.push(name.to_owned());
-            rows.push(vec![work.row(name, || pretrained::missed(name))?]);
-        }
-        let text = [misses::coverage(&names, &rows), misses::causes(&names, &rows)];
-        let (described, of) = (describe(&rays(), &grid(), &[]), seeds(&MISSED_SEEDS));
-        let settings = format!(
-            "{STEPS} steps; images and held-out pixels as in the parts of meshes, lego, kitchen and pretrained. \
-             {described} {of} Models that others trained: {}",
-            pretrained::settings()
-        );
-        Ok((settings, text.join("\n")))
-    })?;
-    program.part("correlations", |work| {
-        let mut rows = Vec::new();
-        for scene in scenes(&PRICED, STEPS) {
-            for level in correlations::LEVELS {
-                rows.push(work.row((scene.name(), level), || correlations::measure(&scene, level))?);
-            }
-        }
-        Ok((correlations::settings(), correlations::table(&rows)))
     })
 }
 
-/// Scenes whose misses are looked at: those where intervals fail, and two where they hold.
-const MISSED: [((&str, Up), Seen); 7] = [
-    (SPOT, FEW),
-    (ARMADILLO, HALF),
-    (LEGO, FEW),
-    (LEGO, HALF),
-    (LEGO, HOLE),
-    (LEGO, SIDE_ONLY),
-    (KITCHEN, Seen::Few(15)),
-];
-const MISSED_SEEDS: [u64; 2] = [0, 1];
-/// How far the poses of the first of them are turned, degrees: a pixel is 0.2.
-const TURNED: [f64; 2] = [0.2, 1.0];
-
-/// Scenes on which the price of correlations is measured.
-const PRICED: [((&str, Up), Seen); 4] = [(BUNNY, FEW), (ARMADILLO, HALF), (SPOT, HOLE), (NEFERTITI, HOLE)];
-
-/// Coverage and ranking on lego, whose images have twice the side of the meshes'.
+/// Ranking on lego, whose images have twice the side of the meshes'.
 fn of_lego(work: &Work, cases: &[((&'static str, Up), Seen)]) -> Result<(String, String)> {
     let scenes = scenes(cases, STEPS);
     let rows = study(work, &scenes, &SEEDS, 1)?;
     let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
-    let truth = scene::LEGO_STEP.powi(2) / 12.0;
-    let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths("", &rows, truth)];
-    Ok((settings_with(2 * SIDE, 2 * STRIDE, STEPS, &SEEDS), text.join("\n")))
+    Ok((settings_with(2 * SIDE, 2 * STRIDE, STEPS, &SEEDS), ranking))
 }
 
 /// All rows of each scene, each beside an ensemble of so many if it is more than one.

@@ -7,7 +7,7 @@ use octobayes::metrics::quantile;
 use octobayes::monitor::Silent;
 use octobayes::posterior::{DataScale, Scale};
 use octobayes::{Error, Result};
-use octobayes_evaluation::metrics::DensityCalibration;
+use octobayes_evaluation::metrics::Calibration;
 use octobayes_evaluation::{EvaluatedView, Evaluator, Measure, Reading, TrueView};
 use octobayes_show::picture::{Bar, Curve, Panel, color_panel, scalar_panel, write_plot, write_sheet};
 
@@ -24,7 +24,7 @@ struct Judged {
     views: Vec<(TrueView, EvaluatedView)>,
     /// The deviation's index among the measures.
     deviation: usize,
-    reliability: DensityCalibration,
+    reliability: Calibration,
 }
 
 /// Draws the view of median mean error of the book's scene, and the reliability of all its views. Returns what they
@@ -36,7 +36,7 @@ pub fn for_the_book(scene: &Scene) -> Result<String> {
     let reliability = &judged.reliability;
     let found = reliability.reliability.iter().map(|&[nominal, held]| (nominal, held)).collect();
     let curves = [
-        Curve { name: format!("√(Var + s²), AUCE {:.3}", reliability.auce), points: found, reference: false },
+        Curve { name: format!("σ, AUCE {:.3}", reliability.auce), points: found, reference: false },
         Curve { name: "what it should be".into(), points: vec![(0.0, 0.0), (1.0, 1.0)], reference: true },
     ];
     let axes = ["share of errors that the interval should hold", "share that it holds"];
@@ -68,7 +68,7 @@ fn judge(scene: &Scene) -> Result<Judged> {
     let estimation = Estimation::new(&model.field, &data.cameras).rays(rays()).grid(grid().scale(Scale::Data(scale)));
     let field = estimation.run()?.field;
     let settings = RaySettings::for_images();
-    let shown = model.field.for_images(&settings, Some(field.lattice()), &Silent)?;
+    let shown = model.field.for_images(&settings, &Silent)?;
     let readings = [Reading { name: "block".into(), field, averages: Vec::new() }];
     let evaluator = Evaluator::new(&*shown, &readings);
     let deviation = evaluator.measures().iter().position(|m| *m == Measure::DepthDeviation(0)).expect("its deviation");
@@ -83,7 +83,7 @@ fn judge(scene: &Scene) -> Result<Judged> {
     let mut views: Vec<(TrueView, EvaluatedView)> = truths.into_iter().zip(views).filter(has_depth).collect();
     let mean = |view: &EvaluatedView| view.absolute_error.iter().sum::<f64>() / view.absolute_error.len() as f64;
     views.sort_by(|(_, a), (_, b)| mean(a).total_cmp(&mean(b)));
-    Ok(Judged { views, deviation, reliability: calibration.predictive().clone() })
+    Ok(Judged { views, deviation, reliability: calibration })
 }
 
 impl Judged {

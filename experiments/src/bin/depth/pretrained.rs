@@ -12,7 +12,6 @@ use octobayes_train::Selection;
 
 use crate::compared;
 use crate::judge::{self, Row, grid, judge, uncertainties};
-use crate::misses;
 use crate::scene::{Data, TEST_VIEWS};
 use common::clock::Clock;
 use common::program::Program;
@@ -54,20 +53,12 @@ pub fn settings() -> String {
 pub fn measure(name: &str) -> Result<Row> {
     let (data, field) = (Data::lego(&Selection::All, STRIDE)?, model(name)?);
     let tracer = RaySettings::for_images().tracer(&*field, 0.0, &Silent)?;
-    let images = data.for_regression(field.pixel_offset());
+    let images = data.images(field.pixel_offset());
     let (fields, summed) = uncertainties(&data, &*field, quality(&tracer, &images)?, rays())?;
     let clock = Clock::start();
     let mut row = judge(&data, &*field, None, &[], fields)?;
     row.seconds = [0.0, summed, clock.elapsed().cpu, 0.0];
     Ok(row)
-}
-
-/// Looks at the misses of one of them.
-pub fn missed(name: &str) -> Result<misses::Row> {
-    let (data, field) = (Data::lego(&Selection::All, STRIDE)?, model(name)?);
-    let tracer = RaySettings::for_images().tracer(&*field, 0.0, &Silent)?;
-    let psnr = quality(&tracer, &data.for_regression(field.pixel_offset()))?;
-    misses::judge(&data, &*field, psnr, rays())
 }
 
 /// Mean PSNR of images, dB.

@@ -2,18 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DVec3, Vec3};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::{Error, Result};
 use octobayes_data::{DepthKind, DepthReadings, Frame, Views};
-use octobayes_depth::{Photograph, TrainingImage};
+use octobayes_depth::Photograph;
 use octobayes_evaluation::{DepthFiles, DepthMeaning, TrueParts, TrueView};
 use octobayes_models::HashGrid;
 use octobayes_synth::{DEPTH_PNG_SCALE, DatasetSettings, Mesh, MeshScene, Up, write_dataset};
 use octobayes_train::{DatasetFiles, Selection, Shot, TrainSettings, quality};
-use rand::rngs::ChaCha8Rng;
-use rand::{RngExt, SeedableRng};
 use serde::Serialize;
 
 use common::kitchen::kitchen;
@@ -32,12 +30,10 @@ const VIEWS: u32 = 40;
 pub const TEST_VIEWS: u32 = 20;
 /// Pixels of training images by which their noise is measured, about.
 const PIXELS: usize = 20_000;
-/// Every so many pixels of the training images count for the residuals, along x and y.
-const RESIDUAL_STRIDE: u32 = 2;
-/// Every so many pixels of the training images count for the regression, along x and y.
-const REGRESSION_STRIDE: u32 = 4;
+/// Every so many pixels of the training images count for the quality of a model that others trained, along x and y.
+const QUALITY_STRIDE: u32 = 4;
 /// Distance between the values of lego's depth maps, scene units.
-pub const LEGO_STEP: f64 = 8.0 / 255.0;
+const LEGO_STEP: f64 = 8.0 / 255.0;
 /// Neighbouring depths that differ by more steps of the map than this straddle an edge.
 const EDGE: f64 = 2.5;
 
@@ -103,16 +99,14 @@ impl Scene {
         let folder = folder.join("images");
         if self.mesh == "kitchen" {
             let depth = kitchen(&folder)?;
-            let step = depth.scale.map_or(0.0, |[_, scale]| scale) / f64::from(u16::MAX);
-            return Data::read(folder.clone(), &self.selection(&folder)?, depth, step, 1);
+            return Data::read(folder.clone(), &self.selection(&folder)?, depth, 1);
         }
         let file = self.images(&folder)?;
         let mesh = MeshScene::new(Mesh::read(&file)?.placed(self.up).0);
         let (maps, pattern) = (Some(folder.join("depth")), "{}.png".into());
         let depth =
             DepthFiles { folder: maps, pattern, scale: Some([0.0, DEPTH_PNG_SCALE]), kind: DepthKind::Euclidean };
-        let step = DEPTH_PNG_SCALE / f64::from(u16::MAX);
-        let data = Data::read(folder.clone(), &self.selection(&folder)?, depth, step, 1)?;
+        let data = Data::read(folder.clone(), &self.selection(&folder)?, depth, 1)?;
         Ok(Data { mesh: Some(mesh), ..data })
     }
 
@@ -136,8 +130,6 @@ pub struct Data {
     pub folder: PathBuf,
     /// True depth of the held-out views.
     depth: DepthFiles,
-    /// Distance between the values that a depth map can hold, scene units.
-    pub depth_step: f64,
     /// Pixels whose neighbours' depth differs by more than this have none, scene units: the maps are means over them.
     edge: Option<f64>,
     /// Every so many pixels count where all pixels of a mesh's images would, along x and y.
@@ -158,13 +150,13 @@ impl Data {
     }
 
     /// A selection of a data set's training images.
-    fn read(folder: PathBuf, selection: &Selection, depth: DepthFiles, depth_step: f64, stride: u32) -> Result<Self> {
+    fn read(folder: PathBuf, selection: &Selection, depth: DepthFiles, stride: u32) -> Result<Self> {
         let mut files = DatasetFiles::read(&folder)?;
         files.select(selection, None)?;
         let [shots, _] = files.load(&Silent)?;
         let cameras = shots.iter().map(|shot| shot.camera).collect();
         let domain = Domain::Box(files.bounds);
-        Ok(Self { domain, shots, cameras, mesh: None, folder, depth, depth_step, edge: None, stride })
+        Ok(Self { domain, shots, cameras, mesh: None, folder, depth, edge: None, stride })
     }
 
     /// Lego. Its depth maps have eight bits over eight scene units, and are means over four pixels of larger ones.
@@ -172,20 +164,8 @@ impl Data {
         let folder = lego()?;
         let (maps, pattern) = (Some(folder.join("test")), "{}_depth_0001.png".into());
         let depth = DepthFiles { folder: maps, pattern, scale: Some([8.0, -8.0]), kind: DepthKind::Euclidean };
-        let data = Self::read(folder, selection, depth, LEGO_STEP, stride)?;
+        let data = Self::read(folder, selection, depth, stride)?;
         Ok(Self { edge: Some(EDGE * LEGO_STEP), ..data })
-    }
-
-    /// The same with each training camera turned about an axis of its own: poses that are off.
-    pub fn turned(mut self, degrees: f64) -> Self {
-        let mut random = ChaCha8Rng::seed_from_u64(0);
-        for (shot, camera) in self.shots.iter_mut().zip(&mut self.cameras) {
-            let axis =
-                DVec3::from_array(std::array::from_fn(|_| random.random_range(-1.0..1.0))).normalize_or(DVec3::X);
-            shot.camera.axes = DMat3::from_axis_angle(axis, degrees.to_radians()) * shot.camera.axes;
-            *camera = shot.camera;
-        }
-        self
     }
 
     /// Every so many pixels of the held-out views, along x and y.
@@ -257,27 +237,9 @@ impl Data {
         self.shots.iter().map(photograph).collect()
     }
 
-    /// The training images, as the residuals looks at them.
-    pub fn for_residuals(&self, pixel_offset: f64) -> Vec<TrainingImage> {
-        let images = self.images(pixel_offset, RESIDUAL_STRIDE, None).into_iter();
-        let training = |TrueView { camera, whole, stride, pixel_offset, colors, kept, .. }| TrainingImage {
-            camera,
-            whole,
-            stride,
-            pixel_offset,
-            colors,
-            kept,
-        };
-        images.map(training).collect()
-    }
-
-    /// The training images, as a regression looks at them: every pixel has a depth, which means nothing.
-    pub fn for_regression(&self, pixel_offset: f64) -> Vec<TrueView> {
-        self.images(pixel_offset, REGRESSION_STRIDE, Some(0.0))
-    }
-
-    fn images(&self, pixel_offset: f64, stride: u32, depth: Option<f64>) -> Vec<TrueView> {
-        self.shots.iter().map(|shot| image(shot, pixel_offset, stride * self.stride, depth)).collect()
+    /// The training images, without depth.
+    pub fn images(&self, pixel_offset: f64) -> Vec<TrueView> {
+        self.shots.iter().map(|shot| image(shot, pixel_offset, QUALITY_STRIDE * self.stride)).collect()
     }
 
     /// Whether it is known that no training camera saw this point of the true surface.
@@ -302,14 +264,14 @@ fn lego() -> Result<PathBuf> {
     Ok(Program::data()?.join("nerf-lego-400"))
 }
 
-/// Every so many pixels of a training image, along x and y, with this depth.
-fn image(shot: &Shot, pixel_offset: f64, stride: u32, depth: Option<f64>) -> TrueView {
+/// Every so many pixels of a training image, along x and y.
+fn image(shot: &Shot, pixel_offset: f64, stride: u32) -> TrueView {
     let camera = shot.camera.strided(stride, pixel_offset);
     let [width, height] = camera.resolution;
     let full = |row: u32, column: u32| ((row * shot.camera.resolution[0] + column) * stride) as usize;
     let pixels = (0..height).flat_map(|row| (0..width).map(move |column| full(row, column)));
     let colors: Vec<DVec3> = pixels.map(|i| shot.image.over(i, DVec3::ONE)).collect();
-    let (kept, covered, distance) = (vec![true; colors.len()], vec![true; colors.len()], vec![depth; colors.len()]);
+    let (kept, covered, distance) = (vec![true; colors.len()], vec![true; colors.len()], vec![None; colors.len()]);
     let readings = DepthReadings::default();
     TrueView {
         name: shot.name.clone(),

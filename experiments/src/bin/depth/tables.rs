@@ -2,55 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use octobayes::uncertainty::Residuals;
-use octobayes_evaluation::metrics::{ErrorDensity, PROBABILITIES};
-
-use crate::joint::{Fit, Joint};
 use crate::judge::{Row, Scored};
-use crate::scene::Scene;
-use common::table::{Table, deviation, mean, spread};
+use common::table::{Table, deviation, mean};
 
 /// Values of all rows.
 fn of(rows: &[&Row], value: impl Fn(&Row) -> f64) -> Vec<f64> {
     rows.iter().map(|row| value(row)).collect()
-}
-
-/// Coverage of the intervals, by scene and over all.
-pub fn coverage(names: &[String], rows: &[Vec<Row>]) -> String {
-    let mut table = Table::new(&[
-        "scene",
-        "PSNR, dB",
-        "median error",
-        "intervals of",
-        "50 %",
-        "68 %",
-        "90 %",
-        "95 %",
-        "AUCE",
-        "NLL",
-        "best scale",
-    ]);
-    let mut add = |name: &str, rows: &[&Row]| {
-        for (b, bar) in ["√(Var + s²), Student", "√(Var + s²), normal", "s alone, Student"].into_iter().enumerate()
-        {
-            let first = |text: String| if b == 0 { text } else { String::new() };
-            let of = |value: &dyn Fn(&Row) -> f64, digits| spread(&of(rows, value), digits);
-            let mut cells = vec![first(name.into()), first(of(&|row| row.psnr, 2)), first(of(&|row| row.error, 4))];
-            cells.push(bar.into());
-            cells.extend((0..PROBABILITIES.len()).map(|p| of(&|row| 100.0 * row.bars[b].held[p], 1)));
-            cells.extend([
-                of(&|row| row.bars[b].auce, 3),
-                of(&|row| row.bars[b].nll[0], 2),
-                of(&|row| row.bars[b].nll[1], 2),
-            ]);
-            table.row(&cells);
-        }
-    };
-    for (name, rows) in names.iter().zip(rows) {
-        add(name, &rows.iter().collect::<Vec<_>>());
-    }
-    add("all", &rows.iter().flatten().collect::<Vec<_>>());
-    format!("### Coverage\n\n{}", table.text())
 }
 
 /// The mean over the models of a scene, for each measure.
@@ -168,78 +125,6 @@ pub fn never_seen(rows: &[Vec<Row>]) -> String {
         ]);
     }
     format!("### Never seen\n\n{}", table.text())
-}
-
-/// The joint variance, with constants fitted to all other scenes.
-pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
-    let mut table =
-        Table::new(&["scene", "a²", "c", "50 %", "68 %", "90 %", "95 %", "NLL", "a = 1, c = 0", "best scale"]);
-    let fits: Vec<Vec<Fit>> = rows.iter().map(|rows| rows.iter().map(Fit::new).collect()).collect();
-    let mut all: Vec<[f64; 7]> = Vec::new();
-    for (scene, own) in scenes.iter().zip(rows) {
-        // Not only this view of the mesh: every model of it is left out.
-        let others = scenes.iter().zip(&fits).filter(|(other, _)| other.mesh != scene.mesh);
-        let fitted = Fit::best(others.flat_map(|(_, fits)| fits));
-        let of = |joint: Joint| own.iter().map(move |row| joint.calibration(row, 0.0));
-        let found: Vec<[f64; 7]> = of(fitted)
-            .zip(of(Joint { factor: 1.0, length: 0.0 }))
-            .map(|(joint, plain)| {
-                let (joint, plain) = (joint.of(ErrorDensity::PREDICTIVE), plain.of(ErrorDensity::PREDICTIVE));
-                let [a, b, c, d] = joint.coverage.map(|[_, share]| 100.0 * share);
-                [a, b, c, d, joint.nll, plain.nll, joint.nll_best_scale]
-            })
-            .collect();
-        let column = |k: usize| mean(&found.iter().map(|row| row[k]).collect::<Vec<_>>());
-        all.push(std::array::from_fn(column));
-        let mut cells = vec![scene.name(), format!("{}", fitted.factor), format!("{}", fitted.length)];
-        cells.extend(numbers(&all[all.len() - 1]));
-        table.row(&cells);
-    }
-    let means: [f64; 7] = std::array::from_fn(|k| mean(&all.iter().map(|row| row[k]).collect::<Vec<_>>()));
-    let mut cells = vec!["all".to_owned(), String::new(), String::new()];
-    cells.extend(numbers(&means));
-    table.row(&cells);
-    format!("### With the residuals of the training images\n\n{}", table.text())
-}
-
-/// Values of c that are tried, as shares of the longest edge of the field's box.
-const SHARES: [[u32; 2]; 9] = [[0, 1], [1, 60], [1, 40], [1, 30], [1, 20], [1, 15], [3, 40], [1, 10], [3, 20]];
-
-/// The joint variance with a² = 1 and several c: means over scenes, and the shares on the scenes that hold least and
-/// most. `of` says which scenes these are; `truth` is the variance of the depth maps themselves, squared scene units.
-pub fn lengths(of: &str, rows: &[Vec<Row>], truth: f64) -> String {
-    let mut table = Table::new(&["c / edge", "50 %", "68 %", "90 %", "95 %", "NLL", "AUSE: MAE", "RMSE"]);
-    for [over, under] in SHARES {
-        let share = f64::from(over) / f64::from(under);
-        let of = |row: &Row| {
-            let joint = Joint { factor: 1.0, length: share * row.edge };
-            let calibration = joint.calibration(row, truth);
-            let found = calibration.of(ErrorDensity::PREDICTIVE);
-            let [a, b, c, d] = found.coverage.map(|[_, share]| 100.0 * share);
-            let [mae, rmse] = joint.ranking(row);
-            [a, b, c, d, found.nll, mae, rmse]
-        };
-        let scenes: Vec<Vec<[f64; 7]>> = rows.iter().map(|rows| rows.iter().map(of).collect()).collect();
-        let column = |k: usize| -> Vec<f64> {
-            scenes.iter().map(|rows| mean(&rows.iter().map(|row| row[k]).collect::<Vec<_>>())).collect()
-        };
-        let default = if (share - Residuals::LENGTH_SHARE).abs() < 1e-9 { " (`--images`)" } else { "" };
-        let mut cells = vec![if over == 0 { "0".into() } else { format!("{over}/{under}{default}") }];
-        cells.extend((0..4).map(|k| {
-            let found = column(k);
-            let [low, high] = [f64::min, f64::max].map(|either| found.iter().copied().reduce(either).unwrap_or(0.0));
-            format!("{:.1} ({low:.1} to {high:.1})", mean(&found))
-        }));
-        cells.extend((4..7).map(|k| format!("{:.3}", mean(&column(k)))));
-        table.row(&cells);
-    }
-    let edges: Vec<f64> = rows.iter().flatten().map(|row| row.edge).collect();
-    let edges = format!("Longest edge of the boxes: {:.2} scene units.", mean(&edges));
-    format!("### By the weight of the residuals{of}\n\n{edges}\n\n{}", table.text())
-}
-
-fn numbers(row: &[f64; 7]) -> impl Iterator<Item = String> {
-    row.iter().enumerate().map(|(k, value)| if k < 4 { format!("{value:.1}") } else { format!("{value:.3}") })
 }
 
 /// Processor seconds of a model.

@@ -161,7 +161,7 @@ fn judge(images: &Images, model: &Model, cameras: &[Camera]) -> Result<Quality> 
     let renderer = VolumeRenderer { tracer, differentiation: None };
     let (mut psnrs, mut ssims, mut errors, mut unseen) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for Held { camera, colors, distance } in &images.held_out {
-        let view = renderer.image(camera, model.field.pixel_offset(), &[], &[], &Silent)?;
+        let view = renderer.image(camera, model.field.pixel_offset(), &[], &Silent)?;
         let found: Vec<DVec3> = view.pixels.iter().map(|pixel| pixel.color.clamp(DVec3::ZERO, DVec3::ONE)).collect();
         psnrs.push(psnr(&found, colors));
         ssims.extend(ssim(camera.resolution, &found, colors));

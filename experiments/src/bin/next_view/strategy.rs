@@ -163,7 +163,7 @@ fn counted(choice: &Choice) -> Result<Vec<usize>> {
     let offset = choice.model.pixel_offset();
     let cells = |camera: &Camera| -> Result<FxHashSet<[u32; 3]>> {
         let seen = camera.strided(COUNT_STRIDE, offset);
-        let view = renderer.strided_image(camera, COUNT_STRIDE, offset, &[], &[], &Silent)?;
+        let view = renderer.strided_image(camera, COUNT_STRIDE, offset, &[], &Silent)?;
         let width = seen.resolution[0] as usize;
         let cell = |(i, pixel): (usize, &octobayes::render::Pixel)| {
             let ray = seen.ray((i % width) as f64 + offset, (i / width) as f64 + offset);

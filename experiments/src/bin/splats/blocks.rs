@@ -3,7 +3,7 @@
 
 use glam::{DMat3, DVec3, Vec3};
 use octobayes::posterior::{DataScale, Information};
-use octobayes::render::{DepthSample, DepthVariance, Probed, ProbedField, RaySamples};
+use octobayes::render::{Probed, ProbedField, RaySamples};
 use octobayes_splats::Splats;
 use rustc_hash::FxHashMap;
 
@@ -82,13 +82,6 @@ impl Sums {
 /// Trace of a matrix.
 pub fn trace(m: &DMat3) -> f64 {
     (0..3).map(|k| m.col(k)[k]).sum()
-}
-
-impl DepthVariance for Blocks {
-    fn variance(&self, samples: &[DepthSample]) -> f64 {
-        let of = |s: &DepthSample| s.gradient.dot(self.covariance[self.index.of(s.position)] * s.gradient);
-        samples.iter().map(of).sum()
-    }
 }
 
 impl ProbedField for Blocks {

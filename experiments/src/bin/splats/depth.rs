@@ -120,8 +120,7 @@ struct Judged<'a> {
 }
 
 /// Measures of every splat by itself.
-const BY_ITSELF: [&str; 3] =
-    ["√(gᵀCg), every splat by itself", "mean log U, every splat by itself", "FisherRF, colours"];
+const BY_ITSELF: [&str; 2] = ["mean log U, every splat by itself", "FisherRF, colours"];
 
 impl Judged<'_> {
     fn rows(&self) -> Result<Vec<Row>> {
@@ -150,7 +149,7 @@ impl Judged<'_> {
                 [score.ause_pooled.mae, score.rank_correlation]
             };
             let calibration = (m < measures.len()).then(|| evaluator.calibration(&views, m)).flatten();
-            let held = calibration.map(|found| [0, 1, 2, 3].map(|k| found.densities[0].coverage[k][1]));
+            let held = calibration.map(|found| [0, 1, 2, 3].map(|k| found.coverage[k][1]));
             Row { name: name.clone(), ranks: [score(&views), score(&inside)], held }
         };
         Ok(names.iter().enumerate().map(of).collect())
@@ -165,9 +164,9 @@ impl Judged<'_> {
     }
 
     /// [`BY_ITSELF`] at the pixels of a view.
-    fn by_itself(&self, renderer: &SplatRenderer, truth: &TrueView, view: &EvaluatedView) -> Result<[Vec<f64>; 3]> {
+    fn by_itself(&self, renderer: &SplatRenderer, truth: &TrueView, view: &EvaluatedView) -> Result<[Vec<f64>; 2]> {
         let probe = Probe { field: &self.blocks, averages: &[RayAverage::WeightedMean] };
-        let shown = renderer.image(&truth.camera, MIDDLE, &[probe], &[&self.blocks], &Silent)?;
+        let shown = renderer.image(&truth.camera, MIDDLE, &[probe], &Silent)?;
         let prepared = renderer.prepare(&truth.camera, Outputs::Colors);
         let (width, mut hits) = (truth.camera.resolution[0] as usize, Hits::default());
         let fisher = |&i: &usize| {
@@ -176,8 +175,7 @@ impl Judged<'_> {
             hits.list.iter().map(|hit| hit.weight().powi(2) / self.blocks.fisher[prepared.splat(hit)]).sum()
         };
         let fisher = view.pixels.iter().map(fisher).collect();
-        let deviation = view.pixels.iter().map(|&i| shown.posterior_variance[0][i].sqrt()).collect();
-        Ok([deviation, view.pixels.iter().map(|&i| shown.log10_uncertainty[0][i]).collect(), fisher])
+        Ok([view.pixels.iter().map(|&i| shown.log10_uncertainty[0][i]).collect(), fisher])
     }
 }
 

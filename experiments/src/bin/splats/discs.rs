@@ -224,7 +224,7 @@ impl Discs {
         let splats = self.at(centres)?;
         let renderer = SplatRenderer::new(&splats, Vec3::ONE);
         let colors = |view: RenderedView| view.pixels.iter().map(|pixel| pixel.color).collect();
-        cameras.iter().map(|camera| renderer.image(camera, 0.5, &[], &[], &Silent).map(colors)).collect()
+        cameras.iter().map(|camera| renderer.image(camera, 0.5, &[], &Silent).map(colors)).collect()
     }
 
     /// Derivatives of the mean squared error of one image by the centres.

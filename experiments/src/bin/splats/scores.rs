@@ -1,14 +1,14 @@
 //! Scores of splats: larger means less certain.
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 use octobayes::Result;
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
-use octobayes::posterior::{Covariance, DataScale, Scale};
+use octobayes::octree::trilinear;
+use octobayes::posterior::{Covariance, DataScale, Scale, VertexSums};
 use octobayes::rays::Pixels;
-use octobayes::render::{DepthSample, DepthVariance};
-use octobayes::uncertainty::DepthPosterior;
+use octobayes::uncertainty::UncertaintyField;
 use octobayes_clean::Evidence;
 use octobayes_splats::Splats;
 use rayon::prelude::*;
@@ -51,13 +51,13 @@ pub fn all(splats: &Splats, cameras: &[Camera], bounds: Aabb, noise: f64) -> Res
     let field = run.run()?.field;
     let blocks = sums.blocks(&scale, scale.pixels);
     let (seen, _) = Evidence::measure(splats, cameras, 0.5, scale.pixels, &Silent)?;
-    let posterior = field.depth_posterior()?;
+    let posterior = |i: usize, direction: DVec3| along(&field, splats.mean(i), direction);
     let each = |value: &(dyn Fn(usize) -> f64 + Sync)| (0..splats.len()).into_par_iter().map(value).collect::<Vec<_>>();
-    let normal = each(&|i| along(&posterior, splats, i, normal(splats, i)).sqrt());
+    let normal = each(&|i| posterior(i, normal(splats, i)).sqrt());
     let largest = each(&|i| f64::from(splats.scale(i).max_element()));
     Ok(vec![
         normal.clone(),
-        each(&|i| DVec3::AXES.map(|axis| along(&posterior, splats, i, axis)).iter().sum::<f64>().sqrt()),
+        each(&|i| DVec3::AXES.map(|axis| posterior(i, axis)).iter().sum::<f64>().sqrt()),
         each(&|i| normal[i] * largest[i]),
         each(&|i| normal_of(&blocks, splats, i)),
         each(&|i| trace(&blocks.covariance[i]).sqrt()),
@@ -80,9 +80,21 @@ fn normal(splats: &Splats, i: usize) -> DVec3 {
     axes.col(splats.scale(i).min_position())
 }
 
-/// Variance of a splat's centre along a unit vector under the field's posterior, scene units².
-fn along(posterior: &DepthPosterior, splats: &Splats, i: usize, direction: DVec3) -> f64 {
-    posterior.variance(&[DepthSample { position: splats.mean(i), gradient: direction }])
+/// Variance of the displacement at a scene point along a unit vector n under the field's posterior, in which vertices are
+/// independent: Σ_v φ_v² nᵀ C_v n, scene units².
+fn along(field: &UncertaintyField, x: Vec3, n: DVec3) -> f64 {
+    let (lattice, record) = (field.lattice(), field.record());
+    let Some(u) = lattice.coordinates(x) else { return field.prior().powi(2) / 3.0 };
+    let (cell, offset) = lattice.cell(u);
+    let scale = record.scale.factor(record.covariance).powi(2);
+    let of_corner = |(c, weight): (u32, f64)| {
+        let vertex = field.vertex_at(std::array::from_fn(|axis| cell[axis] + (c >> axis & 1)));
+        let sums = vertex.map_or_else(VertexSums::default, |v| field.sums().expect("kept sums")[v]);
+        let [xx, xy, xz, yy, yz, zz] = record.covariance.matrix(&sums, record.rays, record.lambda);
+        let matrix = DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
+        weight * weight * scale * n.dot(matrix * n)
+    };
+    (0..).zip(trilinear(offset)).map(of_corner).sum()
 }
 
 fn normal_of(blocks: &Blocks, splats: &Splats, i: usize) -> f64 {

@@ -46,7 +46,7 @@ fn images_are_those_of_gsplat_data() {
         let (splats, expected) = case(name);
         let (camera, slow) = (camera(), gaussians(&splats));
         let view = SplatRenderer::new(&splats, Vec3::ZERO);
-        let view = view.image(&camera, 0.5, &[], &[], &octobayes::monitor::Silent).unwrap();
+        let view = view.image(&camera, 0.5, &[], &octobayes::monitor::Silent).unwrap();
         let (mut fast_worst, mut slow_worst) = (0.0_f64, 0.0_f64);
         for (i, expected) in expected.chunks_exact(4).enumerate() {
             let at = [(i % 123) as f64 + 0.5, (i / 123) as f64 + 0.5];
@@ -69,8 +69,8 @@ fn images_are_those_of_gsplat_data() {
 fn derivatives_on_gsplat_data() {
     for mode in RenderMode::ALL {
         let splats = case("brush_basic_case.safetensors").0.with_mode(mode);
-        let [color, depth] = compare_derivatives(&splats, &camera(), 37);
-        println!("{mode}: colour {color:?}, depth {depth:?}");
-        assert!(color.entries > 200 && color.worst < 1e-6 && depth.worst < 1e-6, "{color:?}, {depth:?}");
+        let color = compare_derivatives(&splats, &camera(), 37);
+        println!("{mode}: {color:?}");
+        assert!(color.entries > 200 && color.worst < 1e-6, "{color:?}");
     }
 }

@@ -1,3 +1,0 @@
-//! Judging splats whose depth is known.
-
-mod data;
