@@ -33,6 +33,8 @@ import octobayes as ob
 HERE = Path(__file__).parent
 #: Photographs of a scene.
 COUNT = 40
+#: Every so many pixels of a photograph are looked at along x and y.
+STRIDE = 2
 #: Nominal coverage, and the deviations of a normal error that have it.
 NOMINAL = (50, 68, 90, 95)
 WITHIN = (0.67449, 0.99446, 1.64485, 1.95996)
@@ -238,8 +240,8 @@ def rendered(scene: Scene, work: Path, program: str, steps: int) -> dict[str, li
     field = work / f"{scene.name}.oct"
     if not field.exists():
         ob.uncertainty(str(model), cameras, for_="depth", rays=500_000, gradient="auto", progress=False).save(field)
-    views = ob.depth(str(model), cameras, str(field), progress=False)
-    alone = ob.depth(str(model), cameras, str(field), images=False, progress=False)
+    views = ob.depth(str(model), cameras, str(field), stride=STRIDE, progress=False)
+    alone = ob.depth(str(model), cameras, str(field), images=False, stride=STRIDE, progress=False)
     return {
         "depth": [view["depth"] for view in views],
         "trust": [view["trust"] for view in views],
@@ -284,10 +286,9 @@ def judged(scene: Scene, work: Path, program: str, steps: int) -> list[dict[str,
     seen = rendered(scene, work, program, steps)
     error = np.abs(colmap["distance"] - colmap["true"])
     pixels = sum(np.isfinite(scene.true(i, middles(depth))).sum() for i, depth in enumerate(seen["depth"]))
-    # A pixel is answered if a point lies in it.
-    share = len(np.unique(np.stack([colmap["camera"], colmap["u"] // 1, colmap["v"] // 1]), axis=1).T) / (
-        pixels * (scene.width * scene.height) / (seen["depth"][0].size)
-    )
+    # A pixel of the photograph is answered if a point lies in it.
+    answered = np.unique(np.stack([colmap["camera"], colmap["u"] // 1, colmap["v"] // 1]), axis=1).shape[1]
+    share = answered / (pixels * STRIDE**2)
     rows = [
         row("COLMAP: σ", colmap["sigma"], error, share, colmap["sigma"]),
         row("COLMAP: track length", -colmap["track"], error, share),
@@ -296,9 +297,8 @@ def judged(scene: Scene, work: Path, program: str, steps: int) -> list[dict[str,
     ]
     places, whole = [], []
     for i, depth in enumerate(seen["depth"]):
-        scale = depth.shape[1] / scene.width
         chosen = colmap["camera"] == i
-        x, y = (colmap["u"][chosen] * scale).astype(int), (colmap["v"][chosen] * scale).astype(int)
+        x, y = (np.round((colmap[axis][chosen] - 0.5) / STRIDE).astype(int) for axis in "uv")
         at = np.clip(y, 0, depth.shape[0] - 1) * depth.shape[1] + np.clip(x, 0, depth.shape[1] - 1)
         places.append((i, at, colmap["true"][chosen]))
         true = scene.true(i, middles(depth))
@@ -318,8 +318,8 @@ def judged(scene: Scene, work: Path, program: str, steps: int) -> list[dict[str,
 
 
 def middles(depth: np.ndarray) -> np.ndarray:
-    """Middles of the pixels of a map whose stride is 1, image points."""
-    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]] + 0.5
+    """Middles of the photograph's pixels that a map has, image points."""
+    v, u = np.mgrid[: depth.shape[0], : depth.shape[1]] * STRIDE + 0.5
     return np.stack([u.ravel(), v.ravel()], 1)
 
 

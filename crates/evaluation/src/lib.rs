@@ -27,6 +27,7 @@ mod image_check;
 mod interval;
 mod judge;
 mod kinds;
+mod looked;
 mod measure;
 pub mod metrics;
 mod report;
