@@ -171,6 +171,7 @@ pub struct WeightedRays<'a> {
 
 impl WeightedRays<'_> {
     /// The image of one row.
+    #[must_use]
     pub fn view(self, probes: &[Probe]) -> RenderedView {
         let rays = self.rays;
         let mut row = RenderedView {

@@ -47,7 +47,8 @@ pub fn view_panels(
             Some(c) => format!("deviation of depth ({:.0} % of errors below {:.2} ×)", 100.0 * c.probability, c.factor),
             None => "deviation of depth (scene units)".into(),
         };
-        panels.push(scalar_panel(&title, view.resolution, deviation.iter().copied(), bar));
+        let shown = deviation.iter().zip(&view.pixels).map(|(s, p)| if p.opacity > 0.5 { *s } else { f64::NAN });
+        panels.push(scalar_panel(&title, view.resolution, shown, bar));
     }
     if let Some(log10) = view.log10_uncertainty.first() {
         // What was never seen has the colour of it, whatever lies in front of it or shines through.

@@ -78,8 +78,8 @@ impl<'a> DepthDeviation<'a> {
         self.images.is_some()
     }
 
-    /// `[height · width]`: σ of the median depth of every pixel of a camera's view, scene units; NaN where more than
-    /// half of the light passes. Advances the monitor by one per row if there are training images.
+    /// `[height · width]`: σ of the median depth of every pixel of a camera's view, scene units; NaN where nothing is
+    /// shown. Advances the monitor by one per row if there are training images.
     ///
     /// # Errors
     /// [`Error::Interrupted`] only.
@@ -100,7 +100,7 @@ impl<'a> DepthDeviation<'a> {
     pub fn of_rays(&self, renderer: &dyn Renderer, rays: &[Ray], view: &RenderedView) -> Vec<f64> {
         let u = self.uncertainty_of_cells(renderer, |i| rays[i], view);
         let terms = |(i, pixel): (usize, &Pixel)| {
-            if pixel.opacity > 0.5 { [view.spread[i], u[i], f64::NAN, f64::NAN] } else { [f64::NAN; 4] }
+            if pixel.opacity > 0.0 { [view.spread[i], u[i], f64::NAN, f64::NAN] } else { [f64::NAN; 4] }
         };
         let terms: Vec<[f64; 4]> = view.pixels.iter().enumerate().map(terms).collect();
         Self { images: None, ..*self }.of_terms(renderer, &terms, view)
@@ -121,8 +121,8 @@ impl<'a> DepthDeviation<'a> {
         terms.iter().zip(&view.pixels).map(sigma).collect()
     }
 
-    /// `[height · width]`: s, U′, b and 1 + e; b and e are left out without training images. NaN where more than half
-    /// of the light passes.
+    /// `[height · width]`: s, U′, b and 1 + e; b and e are left out without training images. NaN where nothing is
+    /// shown.
     ///
     /// # Errors
     /// [`Error::Interrupted`] only.
@@ -144,7 +144,7 @@ impl<'a> DepthDeviation<'a> {
         let agreement = self.images.map(|sweep| sweep.of_view(camera, pixel_offset, view, monitor)).transpose()?;
         let edges = self.images.map(|_| pixels_to_edge(view, DEPTH_JUMP));
         let of = |(i, pixel): (usize, &Pixel)| {
-            if pixel.opacity <= 0.5 {
+            if pixel.opacity == 0.0 {
                 return [f64::NAN; 4];
             }
             let b = agreement.as_ref().map_or(f64::NAN, |b| b[i] + 0.5 * Sweep::STEP * pixel.median_depth);

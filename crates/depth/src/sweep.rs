@@ -59,7 +59,7 @@ impl<'a> Sweep<'a> {
             let pixel = |x: usize| {
                 let pixel = &view.pixels[y * width + x];
                 let at = [x, y].map(|n| n as f64 + pixel_offset);
-                if pixel.opacity > 0.5 { self.at(camera, at, pixel.median_depth) } else { f64::NAN }
+                if pixel.opacity > 0.0 { self.at(camera, at, pixel.median_depth) } else { f64::NAN }
             };
             let row = (0..width).map(pixel).collect::<Vec<f64>>();
             monitor.advance(1);
@@ -159,7 +159,7 @@ mod tests {
             let mut view = shown.clone();
             view.pixels.iter_mut().for_each(|pixel| pixel.median_depth += moved);
             let found = Sweep::new(photographs, &views).of_view(&between, 0.5, &view, &Silent).unwrap();
-            assert!(found.iter().zip(&view.pixels).all(|(b, pixel)| b.is_nan() == (pixel.opacity <= 0.5)));
+            assert!(found.iter().zip(&view.pixels).all(|(b, pixel)| b.is_nan() == (pixel.opacity == 0.0)));
             let mut found: Vec<f64> = front.iter().map(|&i| found[i]).collect();
             found.sort_unstable_by(f64::total_cmp);
             found[found.len() / 2]

@@ -194,8 +194,6 @@ impl<'a> Evaluator<'a> {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut readings = rendered.log10_uncertainty.iter();
         let mut deviations = deviations.iter();
-        // Where more than half of the light passes, a depth may be anywhere.
-        let known = |deviation: f64| if deviation.is_nan() { f64::INFINITY } else { deviation };
         let mut measure = |measure| -> Vec<f64> {
             let each = |value: &dyn Fn(usize) -> f64| pixels.iter().map(|&i| value(i)).collect();
             match measure {
@@ -205,7 +203,7 @@ impl<'a> Evaluator<'a> {
                 }
                 Measure::DepthDeviation(_) | Measure::DepthDeviationWithImages(_) => {
                     let deviations = deviations.next().expect("one image per deviation");
-                    each(&|i| known(deviations[i]))
+                    each(&|i| deviations[i])
                 }
                 Measure::Baseline(baseline) => match baseline {
                     Baseline::RayVariance => each(&|i| rendered.pixels[i].depth_variance),

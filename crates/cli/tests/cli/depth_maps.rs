@@ -269,7 +269,10 @@ fn calibration_reads_the_covariance_that_it_is_told() {
     desk.good(&format!("{UNCERTAINTY} --covariance block -o block.oct"));
     let block = calibrated("block.oct", "");
     assert!(own != block && desk.field("cal.oct").record().covariance != expected, "{own} and {block}");
-    assert_eq!(calibrated("f.oct", " --covariance block"), block);
+    // U that is read off kept sums is not rounded to f32, as that of a file is.
+    let again = calibrated("f.oct", " --covariance block");
+    let factor = |of: &Value| of["factor"].as_f64().unwrap();
+    assert!((factor(&again) / factor(&block) - 1.0).abs() < 1e-6, "{again} and {block}");
     assert_ne!(desk.field("cal.oct").record().covariance, expected);
     // Without its sums a field has one covariance.
     desk.good("export f.oct -o bare.oct");

@@ -135,7 +135,7 @@ fn judge_views(
             let of_images = joined.terms(renderer, &truth.camera, offset, &view.rendered, &Silent)?;
             let by_images = joined.of_terms(renderer, &of_images, &view.rendered);
             for (k, &i) in view.pixels.iter().enumerate() {
-                if !object.is_none_or(|is| is[k]) || by_images[i].is_nan() {
+                if !object.is_none_or(|is| is[k]) || view.rendered.pixels[i].opacity <= 0.5 {
                     continue;
                 }
                 errors.push(view.absolute_error[k]);
