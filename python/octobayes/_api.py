@@ -561,8 +561,8 @@ def render(
     Returns float32 arrays: 'color' ``[H, W, 3]``, 'depth' ``[H, W]`` (median distance from the camera, scene units; 0
     where nothing is), 'opacity' ``[H, W]``, with u 'log10_uncertainty' ``[H, W]`` (NaN where the opacity is 0.05 or
     less, or what is seen lies outside the box of u, as in the command line's pictures), and with depth_error
-    'depth_error' ``[H, W]`` (scene units; NaN where nothing is) and, if u is calibrated, 'depth_interval' ``[H, W]`` (half width of the interval, scene units). With confirm also 'depth_confirmed'
-    ``[H, W]``, which is bool.
+    'depth_error' ``[H, W]`` (scene units; NaN where nothing is) and, if u is calibrated, 'depth_interval' ``[H, W]``
+    (half width of the interval, scene units). With confirm also 'depth_confirmed' ``[H, W]``, which is bool.
     Raises as :func:`uncertainty` does.
     """
     u = None if u is None else _field("u", u)
