@@ -44,7 +44,7 @@ impl ScaleKind {
         let noise = noise.or(training.noise).ok_or_else(|| {
             let expected = "the error that training left, --noise 10^(-PSNR/20) by the PSNR of the training images \
                             (30 dB: 0.032)";
-            missing(expected, "neither --noise nor a model that stores it")
+            missing(expected, "neither --noise, nor a model that stores it, nor images beside the cameras")
         })?;
         DataScale::new(pixels, noise, DataScale::default_prior_deviation(domain)).map(Scale::Data)
     }

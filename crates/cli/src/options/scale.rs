@@ -15,7 +15,7 @@ pub struct ScaleOptions {
     pub scale: Option<ScaleKind>,
 
     /// For --scale data: RMSE of the model's colours (0..1) on its training images, 10^(-PSNR/20): 0.032 at 30 dB
-    /// [default: what a model of `train` or `demo` stores; others need it]
+    /// [default: what a model of `train` or `demo` stores, or by some pixels of the images beside the cameras]
     #[arg(
         long,
         value_name = "RMSE",

@@ -224,3 +224,27 @@ fn splats_have_maps_too() {
     let (code, _, error) = desk.run("depth scene.ply --cameras transforms.json -o other");
     assert!(code == Some(2) && error.contains("--noise"), "without images the noise is not known: {error}");
 }
+
+/// Colours that are off by as much everywhere are the noise of a model that does not store it.
+#[test]
+fn without_a_noise_the_images_beside_the_cameras_have_it() {
+    let desk = desk();
+    const OFF: f64 = 30.0;
+    for i in 0..6 {
+        let path = desk.join(&format!("views/p_{i}.png"));
+        let mut image = image::open(&path).unwrap().into_rgb8();
+        // Where it stays within the range.
+        image
+            .pixels_mut()
+            .for_each(|pixel| pixel.0[0] = pixel.0[0].checked_sub(OFF as u8).unwrap_or(pixel.0[0] + OFF as u8));
+        image.save(&path).unwrap();
+    }
+    let run =
+        "uncertainty scene:ball --cameras cameras.json --scale data --level 4 --rays 2000 --occupancy 32 -o f.oct";
+    let said = desk.said(run);
+    let noise = desk.json("info f.oct")["record"]["scale"]["data"]["noise"].as_f64().unwrap();
+    // One channel of three; colours of images are rounded by up to half a step.
+    let expected = OFF / 255.0 / 3_f64.sqrt();
+    assert!((noise / expected - 1.0).abs() < 0.5 / OFF + 1e-3, "{noise} instead of {expected}");
+    assert!(said.contains("--noise 0.06") && said.contains("dB"), "{said}");
+}
