@@ -231,7 +231,7 @@ fn without_a_noise_the_images_beside_the_cameras_have_it() {
     let desk = desk();
     const OFF: f64 = 30.0;
     for i in 0..6 {
-        let path = desk.join(&format!("views/p_{i}.png"));
+        let path = desk.join(format!("views/p_{i}.png"));
         let mut image = image::open(&path).unwrap().into_rgb8();
         // Where it stays within the range.
         image
