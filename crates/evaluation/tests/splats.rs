@@ -1,0 +1,3 @@
+//! Judging splats whose depth is known.
+
+mod data;
