@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -55,24 +54,22 @@ def depth(
     there. z_depth: along the optical axis instead of the distance from the camera, deviations likewise.
 
     Returns a dictionary for each photograph: 'camera' (its number), 'name', and arrays ``[H, W]``: 'depth' and 'sigma'
-    (float32, scene units; one standard deviation, 1.645 of which hold 90 % of the errors if these are normal; NaN where
-    more than half of the light passes), and 'trust' (uint8, see ``octobayes.TRUST``: 255 can be trusted). Raises as
-    :func:`uncertainty` does.
+    (float32, scene units; NaN where more than half of the light passes; 1.645 'sigma' hold 90 % of normal errors) and
+    'trust' (uint8, see ``octobayes.TRUST``: 255 can be trusted). Raises as :func:`uncertainty` does.
     """
-    settings = (noise, background, views, resolution, fov, force)
-    nerf, found, u, options = _look(nerf, cameras, u, images, *settings, progress)
-    count = len(found.rows)
-    chosen = range(count) if photographs is None else photographs
-    chosen = [whole("photographs", i, 0, count - 1) for i in chosen]
-    longest = int(found.rows[chosen, 20:22].max()) if chosen else 1
-    options |= {
-        "photographs": chosen,
-        "stride": -(-longest // SIDE) if stride is None else whole("stride", stride, 1, 1024),
-        "z_depth": flag("z_depth", z_depth),
-    }
-    asked = _asked(nerf, None, None, batch, u)
+    settings = {"background": background, "views": views, "resolution": resolution, "fov": fov, "force": force}
+    look = _Look(nerf, cameras, u, images, noise, batch, settings)
+    chosen = range(len(look.rows)) if photographs is None else photographs
+    if not isinstance(chosen, Iterable):
+        raise wrong("photographs", "numbers of training cameras", photographs)
+    chosen = [whole("photographs", i, 0, len(look.rows) - 1) for i in chosen]
+    longest = [int(look.rows[i, 20:22].max()) for i in chosen]
+    every = None if stride is None else whole("stride", stride, 1, 1024)
+    strides = [-(-side // SIDE) if every is None else every for side in longest]
+    own = {"photographs": chosen, "strides": strides, "z_depth": flag("z_depth", z_depth)}
+    asked, field, options = look.ready(progress)
     with reporting(progress) as report:
-        maps, said = _octobayes.depth(asked, u._field, np.ascontiguousarray(found.rows), options, report)
+        maps, said = _octobayes.depth(asked, field, look.rows, options | own, report)
     _warn([*said, *_remarks(asked)])
     return maps
 
@@ -103,63 +100,50 @@ def measure(
     Returns 'length', 'sigma', 'interval_90' (low, high), 'correlation' (of the two depths) and 'points': for each
     'position', 'view', 'sigma' along that view, and 'trust'.
     """
-    settings = (noise, background, views, resolution, fov, force)
-    nerf, found, u, options = _look(nerf, cameras, u, images, *settings, progress)
     points = [_point(name, value) for name, value in (("a", a), ("b", b))]
-    asked = _asked(nerf, None, None, batch, u)
-    rows = np.ascontiguousarray(found.rows)
+    settings = {"background": background, "views": views, "resolution": resolution, "fov": fov, "force": force}
+    look = _Look(nerf, cameras, u, images, noise, batch, settings)
+    asked, field, options = look.ready(progress)
     with reporting(progress) as report:
-        text, said = _octobayes.measure(asked, u._field, rows, points, options, report)
+        text, said = _octobayes.measure(asked, field, look.rows, points, options, report)
     _warn([*said, *_remarks(asked)])
     return json.loads(text)
 
 
-def _look(
-    nerf: Any,
-    cameras: Any,
-    u: Any,
-    images: bool,
-    noise: float | None,
-    background: Any,
-    views: Any,
-    resolution: Any,
-    fov: float | None,
-    force: bool,
-    progress: Any,
-) -> tuple[Any, Any, Uncertainty, dict[str, Any]]:
-    """The model, its training cameras, its uncertainty, and how both are looked at."""
-    if u is not None:
-        for name, value in (("noise", noise), ("background", background)):
-            if value is not None:
-                raise wrong(name, "None beside u, which was computed with its own", value)
-    u = None if u is None else _field("u", u)
-    nerf = _opened(nerf, cameras, u)
-    if u is None:
-        u = uncertainty(
-            nerf,
-            cameras,
-            for_="depth",
-            rays=DEFAULT.depth_rays,
-            gradient="auto",
-            noise=noise,
-            background=background,
-            views=views,
-            resolution=resolution,
-            fov=fov,
-            force=force,
-            progress=progress,
-        )
-    found = _training_cameras(nerf, cameras, views, resolution, fov)
-    options = {
-        **_image_options(nerf, None, None, None, DEFAULT.occupancy, u),
-        **found.options(),
-        "images": flag("images", images),
-    }
-    return nerf, found, u, options
+class _Look:
+    """A model and its training cameras, checked before its uncertainty is computed."""
+
+    def __init__(
+        self, nerf: Any, cameras: Any, u: Any, images: bool, noise: float | None, batch: int, settings: dict[str, Any]
+    ) -> None:
+        if u is not None:
+            for name, value in (("noise", noise), ("background", settings["background"])):
+                if value is not None:
+                    raise wrong(name, "None beside u, which was computed with its own", value)
+        self._u = None if u is None else _field("u", u)
+        self._nerf, self._batch = _opened(nerf, cameras, self._u), whole("batch", batch, 1)
+        self._cameras, self._settings = cameras, settings | {"noise": noise, "batch": batch}
+        self._images = flag("images", images)
+        seen = [settings[name] for name in ("views", "resolution", "fov")]
+        self._found = _training_cameras(self._nerf, cameras, *seen)
+        self.rows = np.ascontiguousarray(self._found.rows)
+
+    def ready(self, progress: Any) -> tuple[Any, Any, dict[str, Any]]:
+        """What is asked, its uncertainty, which is computed if it was not given, and how rays pass through it."""
+        u = self._u
+        if u is None:
+            preset = {"for_": "depth", "rays": DEFAULT.depth_rays, "gradient": "auto"}
+            u = uncertainty(self._nerf, self._cameras, **preset, **self._settings, progress=progress)
+        options = {
+            **_image_options(self._nerf, None, None, None, DEFAULT.occupancy, u),
+            **self._found.options(),
+            "images": self._images,
+        }
+        return _asked(self._nerf, None, None, self._batch, u), u._field, options
 
 
 def _point(name: str, value: Any) -> list[float]:
     found = array(name, value)
     if found.shape != (3,) or found.dtype.kind not in "iuf" or not np.isfinite(found).all():
-        raise wrong(name, "three finite numbers, scene units", os.fspath(value) if isinstance(value, str) else value)
+        raise wrong(name, "three finite numbers, scene units", value)
     return [float(v) for v in found]

@@ -7,7 +7,7 @@ use octobayes::glam::DVec3;
 use octobayes::monitor::Message;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes_data::{DepthKind, Frame};
-use octobayes_depth::{Length, SurfacePoint, SurveyedView, Surveyor};
+use octobayes_depth::{Length, NINETY, SurfacePoint, SurveyedView, Surveyor};
 use octobayes_session::Survey;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -19,9 +19,6 @@ use crate::options::{Options, cameras};
 use crate::run::{Source, views};
 use crate::view::image_settings;
 use crate::work::{Engine, work};
-
-/// Deviations within which nine of ten errors lie, if they are normal.
-const NINETY: f64 = 1.645;
 
 /// Looks at a model through its training cameras.
 fn look<T>(
@@ -64,18 +61,19 @@ pub fn depth<'py>(
     let (source, cameras, options) = (Source::new(nerf)?, cameras(&rows)?, Options(options));
     let frames = views(&options, &cameras)?.frames;
     let chosen = options.or("photographs", Vec::<usize>::new())?;
-    let stride = options.or("stride", 1_u32)?;
+    let strides = options.or("strides", Vec::<u32>::new())?;
     let kind = if options.or("z_depth", false)? { DepthKind::Z } else { DepthKind::Euclidean };
     let (look_options, field) = (LookOptions::of(&options)?, uncertainty.get().field.clone());
-    let pixels = chosen.iter().map(|&i| cameras[i].strided(stride, 0.5).pixels()).sum();
+    let views = || chosen.iter().copied().zip(strides.iter().copied());
+    let pixels = views().map(|(i, stride)| cameras[i].strided(stride, 0.5).pixels()).sum();
     let ((seen, offset), texts) = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
             look(model, &field, &frames, (&look_options, pixels), engine, |surveyor| {
                 let times = if surveyor.deviation.has_images() { 2 } else { 1 };
-                let rows = chosen.iter().map(|&i| times * u64::from(cameras[i].resolution[1].div_ceil(stride)));
+                let rows = views().map(|(i, stride)| times * u64::from(cameras[i].resolution[1].div_ceil(stride)));
                 engine.monitor().begin("rows of photographs", rows.sum());
-                let view = |&i: &usize| surveyor.view(i, stride, engine.monitor());
-                let seen = chosen.iter().map(view).collect::<Result<Vec<_>>>()?;
+                let view = |(i, stride)| surveyor.view(i, stride, engine.monitor());
+                let seen = views().map(view).collect::<Result<Vec<_>>>()?;
                 engine.monitor().end();
                 Ok((seen, surveyor.pixel_offset))
             })

@@ -7,7 +7,7 @@ use octobayes::monitor::Monitor;
 use octobayes::render::{Pixel, Probe, RayAverage, RenderedView, Renderer};
 use octobayes::uncertainty::{BakedField, shown_log10, unknowns};
 use octobayes::{Error, Result};
-use octobayes_depth::{DepthDeviation, TrainingViews, pixel_angle};
+use octobayes_depth::{DepthDeviation, TrainingViews};
 use octobayes_evaluation::Reading;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -50,10 +50,8 @@ pub fn render<'py>(
             let probes = field.as_deref().map(|field| Probe { field, averages: &averages });
             let probes = probes.as_slice();
             let unbaked = field.as_deref().map(BakedField::unbaked);
-            let known: Vec<Camera> = model.training_cameras().iter().map(|named| named.camera).collect();
-            let angle = pixel_angle(if known.is_empty() { std::slice::from_ref(&camera) } else { &known });
             let of_depth = unbaked.as_ref().filter(|_| depth_error);
-            let of_depth = of_depth.map(|field| DepthDeviation::new(field, None, angle)).transpose()?;
+            let of_depth = of_depth.map(|field| DepthDeviation::new(field, None)).transpose()?;
             let cut = unbaked.as_ref().zip(threshold);
             let part = cut.map(|(field, threshold)| model.certain_part(field, threshold)).transpose()?;
             let part = match part {

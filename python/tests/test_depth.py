@@ -108,7 +108,7 @@ def test_lengths_have_deviations(metric, courtyard, photographs):
     with pytest.raises(ValueError, match="a: expected a point on a surface that a training camera sees"):
         ob.measure(courtyard, pose[:3, 3] * 0.9, b, photographs, metric, images=False, progress=False)
     with pytest.raises(ValueError, match="b: expected three finite numbers"):
-        ob.measure(courtyard, a, (1, 2), photographs, metric)
+        ob.measure(courtyard, a, (1, 2), photographs)
 
 
 def test_wrong_arguments_of_depth_get_a_sentence(metric, field, courtyard, photographs):
@@ -117,6 +117,9 @@ def test_wrong_arguments_of_depth_get_a_sentence(metric, field, courtyard, photo
         ({"stride": 0}, "stride: expected"),
         ({"noise": 0.1}, "noise: expected None beside u"),
         ({"u": field}, "the scale of its data"),
+        ({"photographs": 3}, "photographs: expected numbers of training cameras"),
+        # Before the field is computed, which would need a noise.
+        ({"u": None, "stride": 0}, "stride: expected"),
     ):
         with pytest.raises(ValueError, match=sentence):
             ob.depth(courtyard, photographs, **{"u": metric, "progress": False, **wrong})

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::checkpoint::{self, RunKey, State};
 use super::coarser::CoarserLeaves;
 use super::{GridKind, GridSettings};
-use crate::geometry::{Domain, Lattice};
+use crate::geometry::{Camera, Domain, Lattice};
 use crate::octree::{Cell, MaxLevels, morton};
 use crate::posterior::overflow::{self, Overflow};
 use crate::posterior::{RayCoverage, Refinement, Sums, VertexSums};
@@ -330,6 +330,7 @@ impl<P: Finish> Builder<P> {
             cutoff: volume.map(|volume| volume.tracer.marcher.cutoff),
             background: stream.map(|s| s.source.background().as_vec3().to_array()),
             pixel_offset: stream.map(|s| s.pixel_offset),
+            pixel_angle: stream.and_then(|s| Camera::pixel_angle(s.cameras)),
         }
     }
 

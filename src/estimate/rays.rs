@@ -205,7 +205,11 @@ impl RaySettings {
     /// If the field does not provide the requested derivatives, if the finite-difference step is longer than an edge,
     /// or stands beside derivatives of the field's own, or if the spacing of f32 positions exceeds the step or, without
     /// one, an edge of the lattice.
-    pub fn differentiation<'a>(&self, field: &'a dyn RadianceField, lattice: &Lattice) -> Result<Differentiation<'a>> {
+    pub(super) fn differentiation<'a>(
+        &self,
+        field: &'a dyn RadianceField,
+        lattice: &Lattice,
+    ) -> Result<Differentiation<'a>> {
         if let Some(step) = self.step.filter(|&step| !(step > 0.0 && step <= 1.0)) {
             // A longer step reaches over the neighbouring vertices: it is no derivative of this one's displacement.
             let expected = "above 0, and at most one edge of the finest lattice";

@@ -56,6 +56,15 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// Angle of a pixel of some cameras, radians: the median of 1 / focal length, the shorter of the two; `None` without
+    /// cameras.
+    #[must_use]
+    pub fn pixel_angle(cameras: &[Self]) -> Option<f64> {
+        let mut angles: Vec<f64> = cameras.iter().map(|camera| 1.0 / camera.focal[0].min(camera.focal[1])).collect();
+        angles.sort_unstable_by(f64::total_cmp);
+        angles.get(angles.len() / 2).copied()
+    }
+
     /// A camera at `eye` that looks at `target`, with the principal point at the image centre.
     ///
     /// `fov_x` is the horizontal angle of view in radians. `up` must not be parallel to the view direction.

@@ -54,6 +54,8 @@ pub struct RunRecord {
     pub background: Option<[f32; 3]>,
     /// Position of rays within their pixel; ½ is the centre.
     pub pixel_offset: Option<f64>,
+    /// Angle of a pixel of the cameras, radians: the median of 1 / focal length.
+    pub pixel_angle: Option<f64>,
 }
 
 impl RunRecord {
@@ -118,6 +120,7 @@ impl RunRecord {
             ("cutoff", self.cutoff.iter().all(is_share), SHARE),
             ("background", self.background.iter().flatten().all(|v| is_share(&f64::from(*v))), SHARE),
             ("pixel_offset", self.pixel_offset.iter().all(is_share), SHARE),
+            ("pixel_angle", self.pixel_angle.iter().all(in_f32), "an angle above 0 that f32 can hold"),
         ];
         let (name, _, expected) = checks.into_iter().find(|(_, is_possible, _)| !is_possible)?;
         let found = serde_json::to_value(self).map(|all| all[name].to_string()).unwrap_or_default();
@@ -149,6 +152,7 @@ impl RunRecord {
             cutoff: None,
             background: None,
             pixel_offset: None,
+            pixel_angle: None,
         }
     }
 }

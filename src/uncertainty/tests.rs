@@ -39,6 +39,7 @@ pub(super) fn record(lattice: &Lattice, covariance: Covariance, rays: u64) -> Ru
         cutoff: Some(1e-4),
         background: Some([1.0; 3]),
         pixel_offset: Some(0.5),
+        pixel_angle: None,
     }
 }
 

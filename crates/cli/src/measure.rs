@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use glam::DVec3;
 use serde_json::json;
 
-use super::depth::{Look, NINETY, SceneOptions, Unit, UnitOptions, figure};
+use super::depth::{Look, SceneOptions, Unit, UnitOptions, figure};
 use super::files::CommandFiles;
 use super::options::{ModelArgument, heading, numbers};
 use super::progress::Bars;
 use octobayes::{Error, Result};
-use octobayes_depth::{Length, SurfacePoint, Trust};
+use octobayes_depth::{Length, NINETY, SurfacePoint, Trust};
 
 /// Measure the distance of two points on surfaces, with its deviation
 ///

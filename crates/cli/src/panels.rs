@@ -47,8 +47,7 @@ pub fn view_panels(
             Some(c) => format!("deviation of depth ({:.0} % of errors below {:.2} ×)", 100.0 * c.probability, c.factor),
             None => "deviation of depth (scene units)".into(),
         };
-        let shown = deviation.iter().zip(&view.pixels).map(|(s, p)| if p.opacity > 0.5 { *s } else { f64::NAN });
-        panels.push(scalar_panel(&title, view.resolution, shown, bar));
+        panels.push(scalar_panel(&title, view.resolution, visible(view, deviation), bar));
     }
     if let Some(log10) = view.log10_uncertainty.first() {
         // What was never seen has the colour of it, whatever lies in front of it or shines through.
@@ -70,9 +69,15 @@ pub fn depth_range<'a>(views: impl IntoIterator<Item = &'a RenderedView>) -> [f6
     if low < high { [low, high] } else { [0.0, 1.0] }
 }
 
-/// From 0 to the deviation of depth that 95 % of the pixels that have one stay below.
-pub fn error_range<'a>(deviations: impl IntoIterator<Item = &'a Vec<f64>>) -> [f64; 2] {
-    let mut errors: Vec<f64> = deviations.into_iter().flatten().copied().filter(|s| s.is_finite()).collect();
+/// Deviations of the pixels with matter (opacity above ½); NaN elsewhere.
+fn visible<'a>(view: &'a RenderedView, deviation: &'a [f64]) -> impl Iterator<Item = f64> + 'a {
+    deviation.iter().zip(&view.pixels).map(|(s, p)| if p.opacity > 0.5 { *s } else { f64::NAN })
+}
+
+/// From 0 to the deviation of depth that 95 % of the pixels with matter (opacity above ½) stay below.
+pub fn error_range<'a>(views: impl IntoIterator<Item = (&'a RenderedView, &'a Vec<f64>)>) -> [f64; 2] {
+    let shown = views.into_iter().flat_map(|(view, deviation)| visible(view, deviation));
+    let mut errors: Vec<f64> = shown.filter(|s| s.is_finite()).collect();
     errors.sort_unstable_by(f64::total_cmp);
     [0.0, if errors.is_empty() { 1.0 } else { quantile(&errors, 0.95) }]
 }

@@ -31,6 +31,9 @@ use super::edges::pixels_to_edge;
 /// The level of the fields on which the factors were fitted.
 pub const LEVEL: u8 = 7;
 
+/// Deviations within which nine of ten errors lie, if they are normal.
+pub const NINETY: f64 = 1.645;
+
 /// Distances in cells of U′.
 const CELLS: f64 = 200.0;
 
@@ -47,29 +50,19 @@ const FACTORS: [[f64; 2]; 2] = [[1.1, 1.25], [0.85, 1.0]];
 pub struct DepthDeviation<'a> {
     field: &'a BakedField<'a>,
     images: Option<Sweep<'a>>,
-    pixel: f64,
-}
-
-/// Angle of a pixel of some cameras, the median; 0 without any.
-#[must_use]
-pub fn pixel_angle(cameras: &[Camera]) -> f64 {
-    let mut angles: Vec<f64> = cameras.iter().map(|camera| 1.0 / camera.focal[0].min(camera.focal[1])).collect();
-    angles.sort_unstable_by(f64::total_cmp);
-    angles.get(angles.len() / 2).copied().unwrap_or(0.0)
 }
 
 impl<'a> DepthDeviation<'a> {
-    /// Deviations by a field, and by training images if they are there. `pixel` is the [angle](pixel_angle) of a pixel
-    /// of the training cameras.
+    /// Deviations by a field, and by training images if they are there.
     ///
     /// # Errors
     /// If the field is in the paper's scale, in which deviations are no lengths.
-    pub fn new(field: &'a BakedField<'a>, images: Option<Sweep<'a>>, pixel: f64) -> Result<Self> {
+    pub fn new(field: &'a BakedField<'a>, images: Option<Sweep<'a>>) -> Result<Self> {
         let Scale::Data(_) = field.field().record().scale else {
             let expected = "a field in the scale of its data, in which U is a length (`uncertainty --for depth`)";
             return Err(Error::setting("scale", expected, "one in the paper's scale"));
         };
-        Ok(Self { field, images, pixel })
+        Ok(Self { field, images })
     }
 
     /// Whether training images are counted.
@@ -103,20 +96,22 @@ impl<'a> DepthDeviation<'a> {
             if pixel.opacity > 0.0 { [view.spread[i], u[i], f64::NAN, f64::NAN] } else { [f64::NAN; 4] }
         };
         let terms: Vec<[f64; 4]> = view.pixels.iter().enumerate().map(terms).collect();
-        Self { images: None, ..*self }.of_terms(renderer, &terms, view)
+        Self { field: self.field, images: None }.of_terms(renderer, &terms, view)
     }
 
     /// σ from [terms](Self::terms).
     #[doc(hidden)]
     #[must_use]
     pub fn of_terms(&self, renderer: &dyn Renderer, terms: &[[f64; 4]], view: &RenderedView) -> Vec<f64> {
+        // Of samples from elsewhere it is not known, and left out.
+        let angle = self.field.field().record().pixel_angle.unwrap_or(0.0);
         let [alone, with_images] = FACTORS[usize::from(renderer.marched().is_none())];
         let sigma = |(terms, pixel): (&[f64; 4], &Pixel)| {
             let of_model = match self.images {
                 None => alone * (terms[0] * terms[1]).sqrt(),
                 Some(_) => with_images * (0..4).map(|k| terms[k].powf(EXPONENTS[k])).product::<f64>(),
             };
-            of_model.hypot(0.5 * self.pixel * pixel.median_depth)
+            of_model.hypot(0.5 * angle * pixel.median_depth)
         };
         terms.iter().zip(&view.pixels).map(sigma).collect()
     }
@@ -223,7 +218,7 @@ mod tests {
         }
     }
 
-    /// σ of a view of a ball, from the field alone.
+    /// √(s U′) of a view of a ball, of which σ₀ is a multiple: half a pixel would hide how it varies.
     fn deviations(scale: f32, around: f64, level: u8) -> Vec<f64> {
         let ball = Scaled { ball: ClosedForm::ball(), scale, around };
         let eye = |azimuth: f64| 3.0 * f64::from(scale) * DVec3::new(azimuth.cos(), azimuth.sin(), 0.2);
@@ -239,8 +234,17 @@ mod tests {
         let renderer = VolumeRenderer { tracer, differentiation: None };
         let view = renderer.image(&cameras[3], 0.5, &[], &Silent).unwrap();
         let baked = BakedField::unbaked(&field);
-        let deviation = DepthDeviation::new(&baked, None, pixel_angle(&cameras)).unwrap();
-        deviation.of_view(&renderer, &cameras[3], 0.5, &view, &Silent).unwrap()
+        let deviation = DepthDeviation::new(&baked, None).unwrap();
+        let terms = deviation.terms(&renderer, &cameras[3], 0.5, &view, &Silent).unwrap();
+        let found = deviation.of_view(&renderer, &cameras[3], 0.5, &view, &Silent).unwrap();
+        let of_field: Vec<f64> = terms.iter().map(|[s, u, ..]| (s * u).sqrt()).collect();
+        // Half a pixel of the training cameras beside it, for all pixels that show something.
+        for ((found, own), pixel) in found.iter().zip(&of_field).zip(&view.pixels).filter(|(_, p)| p.opacity > 0.0) {
+            let half = 0.5 * pixel.median_depth / cameras[0].focal[0];
+            let expected = ((1.1 * own).powi(2) + half * half).sqrt();
+            assert!((found / expected - 1.0).abs() < 1e-12, "{found} instead of {expected}");
+        }
+        of_field
     }
 
     fn median_ratio(a: &[f64], b: &[f64]) -> f64 {
@@ -270,7 +274,7 @@ mod tests {
         let field = Estimation::new(&ball, &cameras).rays(rays).grid(GridSettings::default().level(4)).run();
         let field = field.unwrap().field;
         let baked = BakedField::unbaked(&field);
-        let refused = DepthDeviation::new(&baked, None, 0.0).err().unwrap().to_string();
+        let refused = DepthDeviation::new(&baked, None).err().unwrap().to_string();
         assert!(refused.contains("the scale of its data"), "{refused}");
     }
 }

@@ -21,7 +21,7 @@ use octobayes::render::RenderedView;
 use octobayes::uncertainty::BakedField;
 use octobayes::{Error, Result};
 use octobayes_data::{DepthKind, Frame, FrameSplit, Part, Selection, Views};
-use octobayes_depth::{DepthDeviation, Photograph, TrainingViews, find_images, pixel_angle};
+use octobayes_depth::{DepthDeviation, Photograph, TrainingViews, find_images};
 
 /// Memory of a pixel that shows matter, until all views are judged, bytes: 216 to 266 were measured without the seven of
 /// their kinds. The pixels of lego on white took 65 to 72 in the mean.
@@ -123,7 +123,7 @@ impl<'a> Evaluation<'a> {
     pub fn prepare(self, views: Views) -> Result<Prepared<'a>> {
         self.ensemble.iter().try_for_each(|(name, member)| check_member(name, *member, self.model))?;
         if let (Some(_), Some(first)) = (self.calibrate, self.readings.first()) {
-            DepthDeviation::new(&BakedField::unbaked(&first.field), None, 0.0)?;
+            DepthDeviation::new(&BakedField::unbaked(&first.field), None)?;
         }
         let all = views.frames.clone();
         let wanted = self.readings.first().and_then(|reading| reading.field.record().cameras_checksum);
@@ -168,7 +168,15 @@ impl<'a> Evaluation<'a> {
             DepthFiles { folder: Some(folder.into()), ..self.depth.clone() }.find(folder, &frames, &frames)
         };
         let training_depth = self.training_depth.as_ref().map(maps).transpose()?;
-        let find = |folder: &PathBuf| find_images(folder, &self.training_frames("--images", &training)?);
+        let find = |folder: &PathBuf| {
+            let has_deviation =
+                |reading: &Reading| DepthDeviation::new(&BakedField::unbaked(&reading.field), None).is_ok();
+            if !self.readings.iter().any(has_deviation) || depth.is_none() {
+                let expected = "true depth, and a field of deviations of depth (`uncertainty --for depth`)";
+                return Err(Error::setting("--images", expected, "none"));
+            }
+            find_images(folder, &self.training_frames("--images", &training)?)
+        };
         let images = self.images.as_ref().map(find).transpose()?;
         let used = split.describe(Part::HeldOut, &frames);
         Ok(Prepared {
@@ -299,7 +307,6 @@ impl Prepared<'_> {
             members: members.iter().map(AsRef::as_ref).collect(),
             training: training.as_ref(),
             photographs: photographs.as_deref(),
-            pixel: (!cameras.is_empty()).then(|| pixel_angle(&cameras)),
             truly_seen: truly_seen.as_ref(),
             ..Evaluator::new(&*shown, readings)
         };
@@ -344,7 +351,7 @@ impl Prepared<'_> {
         let kind = depth.map(|depth| depth.encoding.kind).unwrap_or_default();
         let mut looked = Looked::default();
         let rows = self.frames().iter().map(|frame| u64::from(frame.camera.resolution[1].div_ceil(*stride)));
-        let times = 1 + evaluator.members.len() as u64 + u64::from(evaluator.photographs.is_some());
+        let times = 1 + evaluator.members.len() as u64 + u64::from(evaluator.with_images().is_some());
         monitor.begin("rows", rows.sum::<u64>() * times);
         for (seed, frame) in (0..).zip(self.frames()) {
             let truth = TrueView::read(frame, depth.as_ref(), settings.background.as_dvec3(), offset, *stride)?;

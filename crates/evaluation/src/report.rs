@@ -61,6 +61,9 @@ pub struct Report {
     pub baselines: Vec<Scored>,
     /// All of this for the pixels of one kind, of those that are known.
     pub kinds: Vec<OfKind>,
+    /// Which of the readings is the [deviation](Evaluator::deviation) that the verdict is about.
+    #[serde(skip)]
+    pub deviation: Option<usize>,
     /// What the intervals of calibrated fields hold.
     pub conformal: Vec<Inside>,
     /// The interval that was calibrated on these views.
@@ -168,6 +171,7 @@ impl Report {
             readings: Vec::new(),
             baselines: Vec::new(),
             kinds: Vec::new(),
+            deviation: None,
             conformal: Vec::new(),
             calibrated: None,
             clean_up: Vec::new(),
@@ -205,6 +209,7 @@ impl Report {
             }
         }
         self.kinds = OfKind::all(evaluator, views);
+        self.deviation = evaluator.deviation().map(|(m, _)| m);
         Some(())
     }
 

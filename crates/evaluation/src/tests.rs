@@ -14,7 +14,7 @@ use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{RayAverage, Renderer, VolumeRenderer};
 use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes_data::{DepthReadings, PosedImage};
-use octobayes_depth::{DepthDeviation, Photograph, Sweep, TrainingViews, pixel_angle};
+use octobayes_depth::{DepthDeviation, Photograph, Sweep, TrainingViews};
 
 /// An empty field in the ball's box.
 struct Nothing(Aabb);
@@ -243,7 +243,7 @@ fn deviations_of_depth_are_those_of_the_field_and_of_the_images() {
     let baked = BakedField::unbaked(&field);
     let sweep = Sweep::new(&photographs, &training);
     for (m, sweep) in [(0, None), (1, None), (2, Some(sweep))] {
-        let deviation = DepthDeviation::new(&baked, sweep, pixel_angle(&[camera])).unwrap();
+        let deviation = DepthDeviation::new(&baked, sweep).unwrap();
         let expected = deviation.of_view(&model, &camera, 0.5, &view.rendered, &Silent).unwrap();
         for (k, &i) in view.pixels.iter().enumerate() {
             // A baked field rounds U to f32.
@@ -253,7 +253,9 @@ fn deviations_of_depth_are_those_of_the_field_and_of_the_images() {
     }
     assert_ne!(view.measures[1], view.measures[2]);
     // Without the cameras there is nothing to compare images by.
+    assert_eq!(evaluator.deviation().map(|(m, _)| m), Some(2));
     let evaluator = Evaluator { training: None, ..evaluator };
+    assert_eq!(evaluator.deviation().map(|(m, _)| m), Some(0));
     assert!(!evaluator.measures().contains(&Measure::DepthDeviationWithImages(1)));
 }
 

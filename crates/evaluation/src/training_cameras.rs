@@ -1,5 +1,5 @@
-//! The cameras that a model was trained on. Many models store them. Splats do not, but their field has the checksum of
-//! its cameras, by which a camera file is recognised.
+//! The cameras that a model was trained on. Those of `train` store them. Others do not, but their field has the checksum
+//! of its cameras, by which a camera file is recognised.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use octobayes::estimate::Model;
 use octobayes::geometry::{Camera, NamedCamera};
 use octobayes_data::{Frame, FrameSplit, Part, Selection, Views, read_masks};
 
-/// The training cameras of `model`, called `name`: those that it stores. Of splats, those of the checksum that their
+/// The training cameras of `model`, called `name`: those that it stores, or those of the checksum that its
 /// field was computed with, if a camera file has them: `views`, of the file `path`, or one beside that file or the
 /// model, as it is or at the image size of `views`. None if they are unknown.
 pub fn training_cameras(
@@ -17,7 +17,7 @@ pub fn training_cameras(
     path: &Path,
     views: &Views,
 ) -> Vec<NamedCamera> {
-    if model.stores_cameras() {
+    if !model.training_cameras().is_empty() {
         return model.training_cameras().to_vec();
     }
     let Some(wanted) = wanted else { return Vec::new() };

@@ -58,22 +58,15 @@ impl Report {
         };
         let what = format!("{} pixels{}", judged.count, judged.place());
         let mut sentences = vec![ranking(&areas, three.map(|m| judged.area(m)), &name, &what)];
-        let find = |counts_images: bool| {
-            measures.iter().enumerate().find_map(|(m, measure)| match measure {
-                Measure::DepthDeviationWithImages(reading) if counts_images => Some((m, &evaluator.readings[*reading])),
-                Measure::DepthDeviation(reading) if !counts_images => Some((m, &evaluator.readings[*reading])),
-                _ => None,
-            })
-        };
-        let (with_images, alone) = (find(true), find(false));
-        sentences.push(match with_images.or(alone) {
+        sentences.push(match evaluator.deviation() {
             None => "Intervals of depth need a field in scene units (`uncertainty --for depth`).".into(),
             Some((m, reading)) => {
                 // A calibrated factor is that of the field alone.
-                let (nominal, factor, what) = match reading.field.conformal().filter(|_| with_images.is_none()) {
-                    Some(interval) => (interval.probability, interval.factor, "calibrated intervals"),
-                    None => (NOMINAL, normal::deviations(NOMINAL), "intervals"),
-                };
+                let (nominal, factor, what) =
+                    match reading.field.conformal().filter(|_| matches!(measures[m], Measure::DepthDeviation(_))) {
+                        Some(interval) => (interval.probability, interval.factor, "calibrated intervals"),
+                        None => (NOMINAL, normal::deviations(NOMINAL), "intervals"),
+                    };
                 // Errors within their interval, and all, of each view.
                 let held = |v: &EvaluatedView| -> [f64; 2] {
                     let (errors, deviations) = (judged.of(v, &v.absolute_error), judged.of(v, &v.measures[m]));

@@ -12,7 +12,7 @@ use octobayes::metrics::psnr;
 use octobayes::monitor::{Monitor, check};
 use octobayes::render::{MIN_SUPPORTING_RAYS, Probe, RenderedView, Renderer};
 use octobayes::uncertainty::BakedField;
-use octobayes_depth::{DepthDeviation, Photograph, Sweep, TrainingViews, pixel_angle};
+use octobayes_depth::{DepthDeviation, Photograph, Sweep, TrainingViews};
 
 /// Bytes that a reading's field may take to answer faster.
 const MAX_BAKED_BYTES: usize = 256 << 20;
@@ -31,8 +31,6 @@ pub struct Evaluator<'a> {
     pub training: Option<&'a TrainingViews>,
     /// Their images, one for each of them, if deviations of depth are to count them, too.
     pub photographs: Option<&'a [Photograph]>,
-    /// [Angle](octobayes_depth::pixel_angle) of a pixel of theirs; without, that of the judged camera.
-    pub pixel: Option<f64>,
     /// What those cameras truly saw, if that is known.
     pub truly_seen: Option<&'a TrainingViews>,
 }
@@ -79,16 +77,7 @@ impl<'a> Evaluator<'a> {
     #[must_use]
     pub fn new(model: &'a dyn Renderer, readings: &'a [Reading]) -> Self {
         let baked = readings.iter().map(|reading| BakedField::within(MAX_BAKED_BYTES, &reading.field)).collect();
-        Self {
-            model,
-            readings,
-            baked,
-            members: Vec::new(),
-            training: None,
-            photographs: None,
-            pixel: None,
-            truly_seen: None,
-        }
+        Self { model, readings, baked, members: Vec::new(), training: None, photographs: None, truly_seen: None }
     }
 
     /// All measures, in the order of [`EvaluatedView::measures`].
@@ -104,8 +93,8 @@ impl<'a> Evaluator<'a> {
         if !self.members.is_empty() {
             baselines.push(Baseline::EnsembleVariance);
         }
-        let alone = self.deviations(None, 0.0).map(|(i, _)| Measure::DepthDeviation(i));
-        let with_images = self.with_images(0.0).map(|(i, _)| Measure::DepthDeviationWithImages(i));
+        let alone = self.deviations(None).map(|(i, _)| Measure::DepthDeviation(i));
+        let with_images = self.with_images().map(|(i, _)| Measure::DepthDeviationWithImages(i));
         readings.chain(alone).chain(with_images).chain(baselines.into_iter().map(Measure::Baseline)).collect()
     }
 
@@ -125,20 +114,28 @@ impl<'a> Evaluator<'a> {
         }
     }
 
+    /// The measure that stands for deviations of depth, and its reading: with the training images, if they are known,
+    /// and of the first field that has one.
+    #[must_use]
+    pub fn deviation(&self) -> Option<(usize, &Reading)> {
+        let (i, measure) = match self.with_images() {
+            Some((i, _)) => (i, Measure::DepthDeviationWithImages(i)),
+            None => self.deviations(None).next().map(|(i, _)| (i, Measure::DepthDeviation(i)))?,
+        };
+        let m = self.measures().into_iter().position(|found| found == measure)?;
+        Some((m, &self.readings[i]))
+    }
+
     /// The deviations of depth of the readings that have them, by the readings' index.
-    fn deviations<'s>(
-        &'s self,
-        sweep: Option<Sweep<'s>>,
-        pixel: f64,
-    ) -> impl Iterator<Item = (usize, DepthDeviation<'s>)> {
-        let of = move |(i, field)| Some((i, DepthDeviation::new(field, sweep, pixel).ok()?));
+    fn deviations<'s>(&'s self, sweep: Option<Sweep<'s>>) -> impl Iterator<Item = (usize, DepthDeviation<'s>)> {
+        let of = move |(i, field)| Some((i, DepthDeviation::new(field, sweep).ok()?));
         self.baked.iter().enumerate().filter_map(of)
     }
 
     /// That of the first of them with the training images, if they are known.
-    fn with_images(&self, pixel: f64) -> Option<(usize, DepthDeviation<'_>)> {
+    pub(super) fn with_images(&self) -> Option<(usize, DepthDeviation<'_>)> {
         let (photographs, training) = self.photographs.zip(self.training)?;
-        self.deviations(Some(Sweep::new(photographs, training)), pixel).next()
+        self.deviations(Some(Sweep::new(photographs, training))).next()
     }
 
     /// The first reading whose field stores its ray counts.
@@ -187,8 +184,7 @@ impl<'a> Evaluator<'a> {
         let confirmed: Vec<bool> = confirmed.iter().flat_map(|all| pixels.iter().map(|&i| all[i])).collect();
         let of_view =
             |(_, deviation): (usize, DepthDeviation)| deviation.of_view(self.model, camera, offset, &rendered, monitor);
-        let angle = self.pixel.unwrap_or_else(|| pixel_angle(&[*whole]));
-        let deviations = self.deviations(None, angle).chain(self.with_images(angle));
+        let deviations = self.deviations(None).chain(self.with_images());
         let deviations = deviations.map(of_view).collect::<Result<Vec<_>>>()?;
         let spread = |i: usize| rendered.spread[i];
         let mut random = ChaCha8Rng::seed_from_u64(seed);

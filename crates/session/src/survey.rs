@@ -8,7 +8,7 @@ use octobayes::posterior::Covariance;
 use octobayes::render::{GradientMethod, Renderer};
 use octobayes::uncertainty::UncertaintyField;
 use octobayes_data::Frame;
-use octobayes_depth::{DepthDeviation, LEVEL, Photograph, Surveyor, Sweep, TrainingViews, pixel_angle};
+use octobayes_depth::{DepthDeviation, LEVEL, Photograph, Surveyor, Sweep, TrainingViews};
 
 use super::memory::baked;
 use super::{Choices, ScaleKind, Session};
@@ -45,7 +45,7 @@ pub struct Survey<'a> {
 }
 
 impl Survey<'_> {
-    /// Rays of a field that is computed for depths: about as many as those of the fields by which σ was fitted.
+    /// Rays of a field for depths. The fields by which σ was fitted had about as many.
     pub const RAYS: u64 = 500_000;
 
     /// Looks at the model from its training cameras. `work` will query about so many `pixels`.
@@ -66,7 +66,7 @@ impl Survey<'_> {
         let training = TrainingViews::render(&*renderer, &cameras, pixel_offset, monitor)?;
         let field = baked(self.field, pixels);
         let sweep = photographs.as_ref().map(|photographs| Sweep::new(photographs, &training));
-        let deviation = DepthDeviation::new(&field, sweep, pixel_angle(&cameras))?;
+        let deviation = DepthDeviation::new(&field, sweep)?;
         work(&Surveyor {
             renderer: &*renderer,
             cameras: &cameras,

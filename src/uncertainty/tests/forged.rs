@@ -70,6 +70,7 @@ fn numbers_that_no_run_has_are_refused_by_name() {
         ("cutoff", share()),
         ("background/2", share()),
         ("pixel_offset", share()),
+        ("pixel_angle", length()),
     ];
     let cases = record.into_iter().map(|(name, values)| (&in_paper_scale, format!("/record/{name}"), values));
     let data = |name: &str| format!("/record/scale/data/{name}");

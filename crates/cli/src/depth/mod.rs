@@ -116,9 +116,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Deviations within which nine of ten errors lie, if they are normal.
-pub const NINETY: f64 = 1.645;
-
 /// Results of all photographs together.
 const OF_ALL: [&str; 3] = ["quality.csv", "points.ply", "report.html"];
 /// The field, if it is computed.

@@ -97,7 +97,7 @@ impl SceneOptions {
     ) -> Result<Scene> {
         let known = field.map(open_field).transpose()?;
         if let Some(known) = &known {
-            DepthDeviation::new(&BakedField::unbaked(known), None, 0.0)?;
+            DepthDeviation::new(&BakedField::unbaked(known), None)?;
         }
         let opened = match known.as_ref().zip(field) {
             Some((known, path)) => OpenedModel::of_field(known, path, model, self.training.force, &mut tell)?,

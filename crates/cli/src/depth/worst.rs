@@ -7,12 +7,12 @@ use glam::DVec3;
 use image::{Rgb, RgbImage};
 use octobayes::Result;
 use octobayes::error::counted;
-use octobayes_depth::Trust;
+use octobayes_depth::{NINETY, Trust};
 use octobayes_show::depth_page::{DepthPage, Place};
 
 use super::summary::{share_of_surface, shares};
 use super::view::{DepthView, Quality};
-use super::{Look, NINETY, Unit};
+use super::{Look, Unit};
 
 /// Places that are shown, each of another photograph.
 const PLACES: usize = 4;

@@ -145,13 +145,12 @@ fn warn_of_rises(report: &Report) {
     }
 }
 
-/// The first reading, and the first deviation of depth, for each kind of pixel.
+/// The first reading, and the deviation of depth that the verdict is about, for each kind of pixel.
 fn print_kinds(report: &Report, width: usize) -> Result<()> {
     let Some(first) = report.kinds.first() else { return Ok(()) };
     let by = first.measures[0].name.clone();
-    // With the training images, if they are counted: the last that a field gives.
-    let is_deviation = |m: &usize| report.kinds.iter().any(|of| of.measures[*m].calibration.is_some());
-    let deviation = (1..report.readings.len()).rev().find(is_deviation);
+    let is_known = |m: &usize| report.kinds.iter().any(|of| of.measures[*m].calibration.is_some());
+    let deviation = report.deviation.filter(is_known);
     let nominal = if deviation.is_some() {
         format!("   deviation holds, of {}", PROBABILITIES.map(|p| format!("{:.0}", 100.0 * p)).join("/") + " %")
     } else {

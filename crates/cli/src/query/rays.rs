@@ -10,10 +10,10 @@ use crate::options::{model_name, numbers};
 use crate::progress::Bars;
 use crate::streams;
 use octobayes::Result;
-use octobayes::geometry::{Camera, Ray};
+use octobayes::geometry::Ray;
 use octobayes::render::{Probe, RayAverage, VolumeRenderer, render_rays};
 use octobayes::uncertainty::{BakedField, UncertaintyField};
-use octobayes_depth::{DepthDeviation, pixel_angle};
+use octobayes_depth::DepthDeviation;
 use octobayes_session::{OpenedModel, image_settings};
 
 /// Rays to query, and the model that they pass through.
@@ -70,8 +70,7 @@ impl RayQuery {
         // Fields in the paper's scale have no deviations of depth.
         let baked = BakedField::unbaked(field);
         let renderer = VolumeRenderer { tracer, differentiation: None };
-        let training: Vec<Camera> = opened.model.training_cameras().iter().map(|named| named.camera).collect();
-        let deviation = DepthDeviation::new(&baked, None, pixel_angle(&training)).ok();
+        let deviation = DepthDeviation::new(&baked, None).ok();
         let deviation = deviation.map(|deviation| deviation.of_rays(&renderer, &self.ray, &view));
         let mut csv = csv::Writer::from_writer(out);
         let mut write = || -> csv::Result<()> {

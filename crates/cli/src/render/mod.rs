@@ -19,7 +19,7 @@ use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
 use octobayes_data::write_exr;
 use octobayes_data::{Frame, Part};
-use octobayes_depth::{DepthDeviation, TrainingViews, pixel_angle};
+use octobayes_depth::{DepthDeviation, TrainingViews};
 use octobayes_evaluation::Reading;
 use octobayes_session::memory::baked;
 use octobayes_session::{OpenedModel, Threshold, image_settings, scaled};
@@ -135,7 +135,7 @@ impl Args {
         let wanted = self.frame.numbers();
         let frames: Vec<&Frame> = wanted.clone().map(|k| views.frame(k)).collect::<Result<_>>()?;
         if self.depth_error {
-            DepthDeviation::new(&BakedField::unbaked(&field), None, 0.0)?;
+            DepthDeviation::new(&BakedField::unbaked(&field), None)?;
         }
 
         Reading::check(&field, self.ray_average)?;
@@ -166,7 +166,6 @@ impl Args {
             offset,
             average: self.ray_average,
             depth_error: self.depth_error,
-            pixel: if known.is_empty() { pixel_angle(&views.cameras()) } else { pixel_angle(&known) },
             training,
             log10: bar_of(baked, self.range),
             bars,

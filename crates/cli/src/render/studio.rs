@@ -25,8 +25,6 @@ pub struct Studio<'a> {
     pub average: RayAverage,
     /// Whether depth gets its standard deviation.
     pub depth_error: bool,
-    /// Angle of a pixel of the training cameras, or of those that are rendered if the model stores none.
-    pub pixel: f64,
     /// What the model's training cameras see of it, if that stands beside the deviation.
     pub training: Option<TrainingViews>,
     /// Ends of the colour bar of log10 U.
@@ -58,13 +56,8 @@ impl Studio<'_> {
         let probes = [Probe { field: self.baked, averages: &[self.average] }];
         let rendered = renderer.image(camera, self.offset, &probes, self.bars)?;
         let of_field = || {
-            DepthDeviation::new(self.baked, None, self.pixel)?.of_view(
-                renderer,
-                camera,
-                self.offset,
-                &rendered,
-                self.bars,
-            )
+            let deviation = DepthDeviation::new(self.baked, None)?;
+            deviation.of_view(renderer, camera, self.offset, &rendered, self.bars)
         };
         let deviation = self.depth_error.then(of_field).transpose()?;
         Ok(StudioView { rendered, deviation })
@@ -107,7 +100,7 @@ impl Studio<'_> {
         let both = || [view].into_iter().chain(cleaned);
         let ranges = Ranges {
             depth: depth_range(both().map(|view| &view.rendered)),
-            error: error_range(both().filter_map(|view| view.deviation.as_ref())),
+            error: error_range(both().filter_map(|view| Some((&view.rendered, view.deviation.as_ref()?)))),
             conformal: self.field.conformal().copied(),
             log10: self.log10,
             prior: self.field.prior().log10(),

@@ -74,16 +74,17 @@ impl Session {
         tell: &mut dyn FnMut(Message),
     ) -> Result<Option<f64>> {
         if images.is_none() {
-            let settings = RaySettings::for_images().background(rays.background).pixel_offset(rays.pixel_offset);
-            let (renderer, offset) = (model.for_images(&settings, monitor)?, settings.offset_for(model));
-            let known = model.training_cameras();
-            *images = check_images(&*renderer, known, &self.views.frames, offset, None, monitor)?;
+            let (renderer, offset) = (model.for_images(rays, monitor)?, rays.offset_for(model));
+            let (known, room) = (model.training_cameras(), self.grid.memory);
+            *images = check_images(&*renderer, known, &self.views.frames, offset, room, monitor)?;
         }
         let Some(found) = images.as_ref().filter(|found| found.psnr.is_finite()) else { return Ok(None) };
         let (least, most) = DataScale::NOISE.into_inner();
-        let noise = DataScale::noise_of(found.psnr).clamp(least, most);
+        // As the note has it, so that who passes it gets the same run, and so do shards on other machines.
+        let noise = (1e6 * DataScale::noise_of(found.psnr)).round() / 1e6;
+        let noise = noise.clamp(least, most);
         tell(Message::Note(format!(
-            "the model shows its training images with {:.1} dB, by {} pixels: --noise {noise:.4}",
+            "the model shows its training images with {:.1} dB, by {} pixels: --noise {noise}",
             found.psnr, found.pixels
         )));
         Ok(Some(noise))

@@ -13,7 +13,7 @@ use octobayes::posterior::{DataScale, Scale};
 use octobayes::render::{RayAverage, Renderer};
 use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
-use octobayes_depth::{DepthDeviation, LEVEL, Sweep, TrainingViews, pixel_angle};
+use octobayes_depth::{DepthDeviation, LEVEL, Sweep, TrainingViews};
 use octobayes_evaluation::metrics::{ErrorKind, PROBABILITIES, normal, sparsification};
 use octobayes_evaluation::{Baseline, Evaluator, Measure, PixelKind, Reading, TrueView};
 use octobayes_train::{SplatSettings, SplatTrainer, Training};
@@ -107,9 +107,8 @@ fn judge_views(
     let photographs = data.photographs(offset);
     assert_eq!(LEVELS[0], LEVEL, "the field of the deviation");
     let baked = BakedField::unbaked(&fields[0]);
-    let angle = pixel_angle(&data.cameras);
-    let alone = DepthDeviation::new(&baked, None, angle)?;
-    let joined = DepthDeviation::new(&baked, Some(Sweep::new(&photographs, &training)), angle)?;
+    let alone = DepthDeviation::new(&baked, None)?;
+    let joined = DepthDeviation::new(&baked, Some(Sweep::new(&photographs, &training)))?;
     let reading =
         |name: &str, field: &UncertaintyField, averages| Reading { name: name.into(), field: field.clone(), averages };
     let readings =
