@@ -171,8 +171,8 @@ impl<'a> Evaluation<'a> {
         let find = |folder: &PathBuf| {
             let has_deviation =
                 |reading: &Reading| DepthDeviation::new(&BakedField::unbaked(&reading.field), None).is_ok();
-            if !self.readings.iter().any(has_deviation) || depth.is_none() {
-                let expected = "true depth, and a field of deviations of depth (`uncertainty --for depth`)";
+            if !self.readings.iter().any(has_deviation) {
+                let expected = "a field of deviations of depth (`uncertainty --for depth`)";
                 return Err(Error::setting("--images", expected, "none"));
             }
             find_images(folder, &self.training_frames("--images", &training)?)
@@ -299,7 +299,7 @@ impl Prepared<'_> {
         let training = || TrainingViews::render(&*shown, &cameras, offset, monitor);
         let training = knows_cameras.then(training).transpose()?;
         let read = |frames: &Vec<Frame>| Photograph::read_all(frames, shown.background(), offset, monitor);
-        let photographs = self.images.as_ref().filter(|_| knows_cameras).map(read).transpose()?;
+        let photographs = self.images.as_ref().map(read).transpose()?;
         let members = self.evaluation.ensemble.iter();
         let members = members.map(|(_, member)| member.for_images(settings, monitor));
         let members = members.collect::<Result<Vec<_>>>()?;
