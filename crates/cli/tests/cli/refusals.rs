@@ -92,9 +92,13 @@ fn fields_that_do_not_belong_to_each_other_or_to_the_model() {
             (&EVALUATE.replace("scene:ball", "scene:courtyard"), checksum),
             ("render tiny.npz field.oct --cameras cameras.json -o x.png", &["box of the field"]),
             (&format!("{EVALUATE} --ensemble scene:ball scene:city"), &["box of the member `scene:city`", "[1, 1, 1]"]),
-            (&format!("{EVALUATE} --training-depth ."), &["--training-depth", "training cameras"]),
         ],
     );
+    // The cameras that the field was computed with are in no file beside these.
+    std::fs::rename(desk.join("cameras.json"), desk.join("moved.json")).unwrap();
+    write_transforms(&desk.join("half.json"), &cameras(1, [16; 2])).unwrap();
+    let evaluate = EVALUATE.replace("cameras.json", "half.json");
+    desk.refused(&format!("{evaluate} --training-depth ."), &["--training-depth", "training cameras"]);
 }
 
 #[test]
