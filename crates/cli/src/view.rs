@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 
+use super::depth::UnitOptions;
 use super::files::CommandFiles;
 use super::opened::open_field;
 use super::options::{CameraOptions, ModelArgument, count, heading, parse_range};
@@ -35,7 +36,8 @@ const MAX_SPLATS_BYTES: usize = 32_000_000;
 ///
 /// Shows a volume or Gaussian splats, which you turn with mouse, fingers or keys: log10 U beside colour, depth, colour
 /// tinted by U. A slider removes what is uncertain, a switch what no training ray reached. The training cameras can be
-/// shown and stepped through; the pointer reads position, U and depth. The file holds everything and asks no server.
+/// shown and stepped through; the pointer reads position, U and depth. Two clicks measure a length, with its deviation if
+/// the field is of `uncertainty --for depth`. The file holds everything and needs no server.
 ///
 /// A volume is shown as a regular lattice: detail finer than a cell is averaged. Splats are drawn one by one. Colour
 /// does not depend on direction.
@@ -53,6 +55,9 @@ pub struct Args {
 
     #[command(flatten)]
     cameras: CameraOptions,
+
+    #[command(flatten)]
+    unit: UnitOptions,
 
     /// File to write, `.html`
     #[arg(short, long, value_name = "VIEW.html", help_heading = heading::OUTPUT)]
@@ -101,6 +106,12 @@ impl Args {
         say!("{}: {said}", self.output.display())
     }
 
+    /// What lengths are written in, and its name.
+    fn unit(&self) -> (f64, &'static str) {
+        let unit = self.unit.unit();
+        (unit.factor, unit.name())
+    }
+
     /// The files that are read and written.
     fn files(&self) -> CommandFiles {
         CommandFiles::default()
@@ -133,6 +144,7 @@ impl Args {
             surface: &surface,
             range: bar_of(&BakedField::unbaked(field), self.range),
             title: &title(&opened.name),
+            unit: self.unit(),
         };
         let view = VolumeView { model, tracer, page };
         let (cells, budget) = self.cells.map_or((MAX_DEFAULT_CELLS, MAX_DEFAULT_BYTES), |cells| (cells, usize::MAX));
@@ -163,6 +175,7 @@ impl Args {
             surface: if surface.is_empty() { splats.means() } else { &surface },
             range: bar_of(&BakedField::unbaked(field), self.range),
             title: &title(name),
+            unit: self.unit(),
         };
         let view = SplatsView { splats, seen: seen.as_ref(), page };
         let ShownSplats { count, visible, share, bytes } = write_splats_view(&self.output, &view, MAX_SPLATS_BYTES)?;

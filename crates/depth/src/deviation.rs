@@ -18,11 +18,11 @@
 //! (`experiments/depth.md`).
 
 use glam::{DMat3, DVec3, Vec3};
-use octobayes::geometry::{Camera, Ray};
+use octobayes::geometry::{Camera, Domain, Ray};
 use octobayes::monitor::Monitor;
 use octobayes::posterior::Scale;
 use octobayes::render::{Pixel, RenderedView, Renderer};
-use octobayes::uncertainty::BakedField;
+use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
 
 use super::Sweep;
@@ -45,6 +45,44 @@ const EXPONENTS: [f64; 4] = [0.34, 0.48, 0.18, -0.09];
 
 /// k of volumes and of other models: from the field alone, and with the training images.
 const FACTORS: [[f64; 2]; 2] = [[1.1, 1.25], [0.85, 1.0]];
+
+/// What σ from the field alone depends on beside a ray: for pages, which compute it themselves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FieldFactors {
+    /// k.
+    pub factor: f64,
+    /// Distances in cells of U′.
+    pub cells: f64,
+    /// h in the middle of the field's domain, scene units.
+    pub cell: f64,
+    /// p of a distance of 1; 0 if the field does not know it.
+    pub pixel_angle: f64,
+}
+
+impl FieldFactors {
+    /// Those of a field of a volume or of another kind of model; `None` in the paper's scale, in which deviations are
+    /// no lengths.
+    #[must_use]
+    pub fn new(field: &UncertaintyField, is_volume: bool) -> Option<Self> {
+        let Scale::Data(_) = field.record().scale else { return None };
+        let [factor, _] = FACTORS[usize::from(!is_volume)];
+        let middle = match field.lattice().domain() {
+            Domain::Box(bounds) => 0.5 * (bounds.min() + bounds.max()).as_vec3(),
+            Domain::Contracted { center, .. } => Vec3::from_array(center.map(|v| v as f32)),
+        };
+        // Of samples from elsewhere it is not known, and left out.
+        let pixel_angle = field.record().pixel_angle.unwrap_or(0.0);
+        Some(Self { factor, cells: CELLS, cell: cell_edge(field, middle), pixel_angle })
+    }
+}
+
+/// h: the edge of a cube that has the volume of a finest cell of a field at a point. The unit cube has cells of one
+/// size, and Φ maps the scene to it.
+fn cell_edge(field: &UncertaintyField, x: Vec3) -> f64 {
+    let lattice = field.lattice();
+    let [i, j, k] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| lattice.domain().pull_back(x, axis));
+    1.0 / (f64::from(lattice.cells_per_axis()) * DMat3::from_cols(i, j, k).determinant().abs().cbrt())
+}
 
 /// How far depths of a model may be off.
 pub struct DepthDeviation<'a> {
@@ -158,16 +196,10 @@ impl<'a> DepthDeviation<'a> {
         let bounds = renderer.bounds();
         let expected = |(i, pixel): (usize, &Pixel)| bounds.clamp(ray(i).at(pixel.expected_depth).as_vec3());
         let points: Vec<Vec3> = view.pixels.iter().enumerate().map(expected).collect();
-        let lattice = self.field.field().lattice();
-        let (domain, cells) = (lattice.domain(), f64::from(lattice.cells_per_axis()));
-        // The edge of a cube of a cell's volume: the unit cube has cells of one size, and Φ maps the scene to it.
-        let cell = |x: Vec3| {
-            let [i, j, k] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| domain.pull_back(x, axis));
-            1.0 / (cells * DMat3::from_cols(i, j, k).determinant().abs().cbrt())
-        };
         let found = self.field.query_all(&points);
         let u = |(i, pixel): (usize, &Pixel)| {
-            found[i].uncertainty * (CELLS * cell(points[i]) / pixel.median_depth).powf(1.5)
+            let cell = cell_edge(self.field.field(), points[i]);
+            found[i].uncertainty * (CELLS * cell / pixel.median_depth).powf(1.5)
         };
         view.pixels.iter().enumerate().map(u).collect()
     }

@@ -11,7 +11,7 @@ mod sweep;
 mod training_views;
 mod trust;
 
-pub use deviation::{DEPTH_JUMP, DepthDeviation, LEVEL, NINETY};
+pub use deviation::{DEPTH_JUMP, DepthDeviation, FieldFactors, LEVEL, NINETY};
 pub use measure::{Length, Snapped, SurfacePoint, SurveyedView, Surveyor};
 pub use photographs::{Photograph, find_images};
 pub use sweep::Sweep;

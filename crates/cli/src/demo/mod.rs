@@ -239,6 +239,7 @@ impl Args {
             surface: &surface,
             range: [shown.low, field.prior().log10()],
             title: &format!("the demo's {}", self.scene.as_deref().unwrap_or("courtyard")),
+            unit: (1.0, "scene units"),
         };
         let view = VolumeView { model, tracer: &tracer, page };
         write_volume(&self.output.join("view.html"), &view, CELLS, SIZE, bars).map(|_| ())

@@ -12,14 +12,16 @@ use octobayes::posterior::Scale;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
 use octobayes_data::Frame;
+use octobayes_depth::{DEPTH_JUMP, FieldFactors, NINETY};
 
 const PAGE: &str = include_str!("web/page.html");
 const STYLE: &str = include_str!("web/style.css");
 /// The scripts that both kinds of model share: those before the model's own, and those after.
 const BEFORE: [&str; 3] = [include_str!("web/data.js"), include_str!("web/space.js"), include_str!("web/renderer.js")];
-const AFTER: [&str; 5] = [
+const AFTER: [&str; 6] = [
     include_str!("web/camera.js"),
     include_str!("web/overlay.js"),
+    include_str!("web/measure.js"),
     include_str!("web/panel.js"),
     include_str!("web/input.js"),
     include_str!("web/main.js"),
@@ -47,6 +49,8 @@ pub struct Page<'a> {
     pub range: [f64; 2],
     /// Name of the model, for people.
     pub title: &'a str,
+    /// Units of lengths that people read, for a scene unit, and their name.
+    pub unit: (f64, &'a str),
 }
 
 /// What the page of one kind of model holds beside what all pages hold.
@@ -57,13 +61,15 @@ pub struct Parts<'a> {
     pub data: &'a [(&'a str, &'a str)],
     /// Numbers and names that scripts read, an object.
     pub about: Value,
+    /// Whether the model is a volume.
+    pub is_volume: bool,
 }
 
 impl Page<'_> {
     /// The page as text.
     #[must_use]
     pub fn text(&self, bounds: [Aabb; 2], parts: &Parts) -> String {
-        let mut about = self.about(bounds);
+        let mut about = self.about(bounds, parts.is_volume);
         let members = about.as_object_mut().expect("an object is made");
         members.extend(parts.about.as_object().expect("parts are an object").clone());
         // `</script>` in a name would end the data.
@@ -92,7 +98,7 @@ impl Page<'_> {
     }
 
     /// What all pages hold of a model that lies in the first box, and nearly all of it in the second.
-    fn about(&self, [bounds, core]: [Aabb; 2]) -> Value {
+    fn about(&self, [bounds, core]: [Aabb; 2], is_volume: bool) -> Value {
         let field = self.field;
         let contraction = match field.lattice().domain() {
             Domain::Contracted { center, radius, norm } => {
@@ -117,9 +123,17 @@ impl Page<'_> {
         let up = upright(&cameras, None).unwrap_or(DVec3::Z);
         let found = field.query_all(self.surface);
         let known: Vec<f64> = found.iter().map(|found| found.uncertainty.log10()).collect();
+        let deviation = FieldFactors::new(field, is_volume).map(|FieldFactors { factor, cells, cell, pixel_angle }| {
+            json!({
+                "factor": factor, "cells": cells, "cell": cell, "pixelAngle": pixel_angle, "jump": DEPTH_JUMP,
+                "ninety": NINETY,
+            })
+        });
         let ends = |of: Aabb| json!({ "min": of.min().to_array(), "max": of.max().to_array() });
         json!({
             "title": self.title,
+            "unit": { "factor": self.unit.0, "name": self.unit.1 },
+            "deviation": deviation,
             "contraction": contraction,
             "bounds": ends(bounds),
             "core": ends(core),

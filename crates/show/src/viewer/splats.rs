@@ -226,7 +226,8 @@ fn page(view: &SplatsView, packed: &Packed) -> String {
     let data = [&SHADERS[..], &[("planes", packed.planes.as_str())]].concat();
     // Some of a trained scene always lie far from all others: what is looked at is the rest.
     let core = view.splats.main_box();
-    view.page.text([packed.bounds, core], &Parts { scripts: &SCRIPTS, data: &data, about: about(view, packed) })
+    let about = about(view, packed);
+    view.page.text([packed.bounds, core], &Parts { scripts: &SCRIPTS, data: &data, about, is_volume: false })
 }
 
 /// What the scripts of splats read.

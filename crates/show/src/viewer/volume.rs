@@ -142,7 +142,7 @@ fn seen(
 fn page(view: &VolumeView, grid: &Grid, (pages, packed): (&Pages, &Packed), codes: Codes, cells: u32) -> String {
     let about = about(view, grid, pages, codes, cells);
     let data = [("march", SHADER), ("pages", &packed.pages), ("planes", &packed.planes)];
-    view.page.text([grid.bounds; 2], &Parts { scripts: &SCRIPTS, data: &data, about })
+    view.page.text([grid.bounds; 2], &Parts { scripts: &SCRIPTS, data: &data, about, is_volume: true })
 }
 
 /// What the scripts of a volume read.
@@ -186,6 +186,7 @@ mod tests {
             surface: &surface,
             range: [2.0, field.prior().log10()],
             title,
+            unit: (1.0, "scene units"),
         };
         let view = VolumeView { model: &ball, tracer: &tracer, page };
         let folder = tempfile::tempdir().unwrap();

@@ -138,6 +138,7 @@ fn written(budget: usize) -> Result<(ShownSplats, String)> {
         surface: splats.means(),
         range: [2.0, field.prior().log10()],
         title: "a & <script>",
+        unit: (1.0, "scene units"),
     };
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("view.html");

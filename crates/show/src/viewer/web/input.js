@@ -22,8 +22,10 @@ function listenToPointers(viewer) {
   area.addEventListener('pointerup', (event) => {
     pointers.delete(event.pointerId);
     const isClick = event.button === 0 && travelled < STILL && !onDivider;
-    const k = isClick ? viewer.pick(event, NEAR) : null;
+    if (!isClick) return;
+    const k = viewer.pick(event, NEAR);
     if (k !== null) viewer.fly(k);
+    else if (viewer.isMeasuring) viewer.mark(...viewer.imagePoint(event));
   });
   area.addEventListener('pointercancel', (event) => pointers.delete(event.pointerId));
   area.addEventListener('pointermove', (event) => {
@@ -53,7 +55,10 @@ function listenToPointers(viewer) {
     viewer.moved();
   });
   area.addEventListener('contextmenu', (event) => event.preventDefault());
-  area.addEventListener('dblclick', (event) => onDivider || viewer.focus(...viewer.imagePoint(event)));
+  area.addEventListener('dblclick', (event) => {
+    // Two clicks near to each other may be a short length.
+    if (!onDivider && !viewer.isMeasuring) viewer.focus(...viewer.imagePoint(event));
+  });
   area.addEventListener('wheel', (event) => {
     event.preventDefault();
     viewer.camera.zoom(Math.exp(0.001 * event.deltaY));
@@ -80,7 +85,7 @@ function listenToKeys(viewer) {
     i: () => viewer.save(),
     '?': () => (byId('help').open ? byId('help').close() : byId('help').showModal()),
   };
-  for (const [key, id] of Object.entries({ c: 'frusta', v: 'split', u: 'level', h: 'hide-unseen' })) {
+  for (const [key, id] of Object.entries({ c: 'frusta', m: 'measure', v: 'split', u: 'level', h: 'hide-unseen' })) {
     others[key] = () => byId(id).click();
   }
   others.b = () => (byId('crop').open = !byId('crop').open);
@@ -114,6 +119,10 @@ function listenToPanel(viewer) {
     'hide-unseen': (isOn) => (shown.hidesUnseen = isOn),
     split: (isOn) => (shown.split = isOn ? 0.5 : null),
     frusta: (isOn) => (viewer.frusta = isOn),
+    measure: (isOn) => {
+      [viewer.isMeasuring, viewer.ends] = [isOn, []];
+      say('length', isOn ? describeEnds(viewer.model, []) : '');
+    },
     level: (isOn) => {
       viewer.camera.isLevel = isOn;
       viewer.camera.orbit(0, 0);

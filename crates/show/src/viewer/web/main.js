@@ -19,6 +19,7 @@ class Viewer {
     this.uncrop();
     this.current = 0;
     this.frusta = false;
+    [this.isMeasuring, this.ends] = [false, []];
     this.shrink = 1;
     this.listenToContext();
     const first = about.cameras[0] ?? this.someCamera();
@@ -117,6 +118,15 @@ class Viewer {
     const [width, height] = this.fixed ?? this.size();
     const scale = width / this.canvas.clientWidth;
     return picked(this.allFrusta(width, height), this.canvasPoint(event), near * scale);
+  }
+
+  /** Chooses what is under an image point as an end of a length; after two, begins anew. */
+  mark(x, y) {
+    const found = this.read(x, y);
+    if (!found) return;
+    this.ends = [...(this.ends.length < 2 ? this.ends : []), endAt(this.model, found)];
+    say('length', describeEnds(this.model, this.ends));
+    this.changed();
   }
 
   /**
@@ -248,6 +258,7 @@ class Viewer {
     [this.overlay.width, this.overlay.height] = [width, height];
     if (this.frusta) drawFrusta(this.overlay, this.allFrusta(width, height), this.current);
     if (byId('crop').open) drawBox(this.overlay, this.camera, this.shown.crop, this.place(width, height));
+    if (this.isMeasuring) drawEnds(this.overlay, this.camera, this.ends, this.place(width, height));
     showDivider(this.isSplit() ? this.shown : null);
     drawLegend(this.about, this.shown.layer, this.shown.depths);
     drawHistogram(this.about, this.shown.threshold);

@@ -39,9 +39,10 @@ function drawLegend(about, layer, depths) {
     bar.fillRect(i, 0, 1, 16);
   });
   const [low, high] = isDepth ? depths : about.range;
-  say('legend-name', isDepth ? 'depth (scene units)' : `${about.quantity}: larger = less certain`);
-  say('legend-low', isDepth ? words(low) : `${low.toFixed(2)} well constrained`);
-  say('legend-high', isDepth ? words(high) : `${high.toFixed(2)} never seen`);
+  const { factor, name } = about.unit;
+  say('legend-name', isDepth ? `depth (${name})` : `${about.quantity}: larger = less certain`);
+  say('legend-low', isDepth ? words(factor * low) : `${low.toFixed(2)} well constrained`);
+  say('legend-high', isDepth ? words(factor * high) : `${high.toFixed(2)} never seen`);
   say('hatching', isDepth || !about.knowsUnseen ? '' : 'Hatched: no training ray came here.');
 }
 
@@ -85,12 +86,14 @@ function sayRemoved(model, shown, kept) {
 /** Says what is under the pointer. */
 function describe(about, found) {
   if (!found) return 'nothing is hit here';
+  const { factor, name } = about.unit;
   const lines = [
-    `position ${found.position.map(words).join(', ')}`,
-    `depth ${words(found.depth)} scene units`,
+    `position ${found.position.map((v) => words(factor * v)).join(', ')}`,
+    `depth ${words(factor * found.depth)} ${name}`,
   ];
   if (found.log10U !== undefined) {
-    const length = about.isLength ? `U ${words(10 ** found.log10U)} scene units` : `U ${words(10 ** found.log10U)}`;
+    const u = 10 ** found.log10U;
+    const length = about.isLength ? `U ${words(factor * u)} ${name}` : `U ${words(u)}`;
     lines.push(`log10 U ${found.log10U.toFixed(2)} (${length}), larger = less certain`);
     const prior = `prior, "never seen": ${about.prior.toFixed(2)}`;
     lines.push(found.isUnseen ? 'no training ray came here: U is the prior’s' : prior);

@@ -62,18 +62,9 @@ class SplatsRenderer extends Renderer {
 
   /** A camera as splats are projected: rows right, down and forward; shapes are limited by the whole canvas. */
   lens(camera) {
-    const { focal, center } = camera;
     const { width, height } = this.canvas;
     const [x, y, z] = this.placing(camera, width, height);
-    const tangents = [[0, 0], [width, height]].map(([u, v]) =>
-      [(u - x) / z, (v - y) / z].map((at, k) => (at - center[k]) / focal[k]));
-    const { beyond } = this.model.about.drawn;
-    const margin = [0, 1].map((k) => 0.5 * (beyond - 1) * (tangents[1][k] - tangents[0][k]));
-    const [right, up, back] = [0, 1, 2].map((k) => column(camera.axes, k));
-    return {
-      focal, center, eye: this.model.local(camera.position), rows: [right, scale(up, -1), scale(back, -1)],
-      limits: [sub(tangents[0], margin), add(tangents[1], margin)],
-    };
+    return this.model.lens(camera, ...[[0, 0], [width, height]].map(([u, v]) => [(u - x) / z, (v - y) / z]));
   }
 
   draw(camera, shown) {

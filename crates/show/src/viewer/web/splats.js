@@ -142,6 +142,65 @@ class Splats {
     });
   }
 
+  /**
+   * The splats that a training camera sees at an image point, from the nearest: distances along the ray, their own
+   * variance along it, weights.
+   */
+  hits(camera, at) {
+    const lens = this.lens(camera, [0, 0], camera.resolution);
+    const { near, faintest, mostOpaque, dark } = this.about.drawn;
+    const found = [];
+    const splat = {};
+    for (let i = 0; i < this.about.count; i++) {
+      if (!this.project(i, lens, splat) || splat.depth <= near) continue;
+      const [dx, dy] = [splat.x - at[0], splat.y - at[1]];
+      const q = splat.xx * dx * dx + 2 * splat.xy * dx * dy + splat.yy * dy * dy;
+      const alpha = Math.min(splat.opacity * Math.exp(-0.5 * q), mostOpaque);
+      if (alpha >= faintest) found.push({ i, alpha, z: splat.depth });
+    }
+    const oblique = Math.hypot(...[0, 1].map((k) => (at[k] - camera.center[k]) / camera.focal[k]), 1);
+    const hits = [];
+    let passed = 1;
+    for (const { i, alpha, z } of found.sort((a, b) => a.z - b.z)) {
+      if (passed * (1 - alpha) < dark) break;
+      const variance = oblique ** 2 * this.variance(i, lens.rows[2]);
+      hits.push({ i, depth: z * oblique, variance, weight: passed * alpha });
+      passed *= 1 - alpha;
+    }
+    return hits;
+  }
+
+  /** A splat's variance along a direction. */
+  variance(i, [x, y, z]) {
+    const [xx, xy, xz, yy, yz, zz] = this.covariances.subarray(6 * i, 6 * i + 6);
+    return xx * x * x + yy * y * y + zz * z * z + 2 * (xy * x * y + xz * x * z + yz * y * z);
+  }
+
+  /** log10 of the mean U of what a ray hits: the page has U at the middles of splats alone. */
+  log10UAt(x, hits) {
+    const sum = (of) => hits.reduce((sum, hit) => sum + hit.weight * of(hit), 0);
+    return Math.log10(sum(({ i }) => 10 ** this.log10U[i]) / sum(() => 1));
+  }
+
+  /** Splats are as they are. */
+  resolution() {
+    return 0;
+  }
+
+  /**
+   * What projects splats for a camera whose image shows the part between two image points. Splats beyond its edges are
+   * projected as at a margin.
+   */
+  lens({ position, axes, focal, center }, low, high) {
+    const tangents = [low, high].map((at) => at.map((v, k) => (v - center[k]) / focal[k]));
+    const margin = [0, 1].map((k) => 0.5 * (this.about.drawn.beyond - 1) * (tangents[1][k] - tangents[0][k]));
+    const [right, up, back] = [0, 1, 2].map((k) => column(axes, k));
+    return {
+      focal, center, eye: this.local(position), rows: [right, scale(up, -1), scale(back, -1)],
+      limits: [tangents[0].map((v, k) => v - margin[k]), tangents[1].map((v, k) => v + margin[k])],
+    };
+  }
+
   /** How many splats the slider and the switch remove, how many were never seen, and all. */
   removed(shown) {
     let [gone, unseen] = [0, 0];

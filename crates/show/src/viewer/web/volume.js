@@ -88,7 +88,60 @@ class Volume {
 
   /** What is stored at a scene point: log10 U, whether it was seen, and in words the rest; null without matter. */
   at(x) {
-    const { grid, codes, atlas, knowsRays } = this.about;
+    const { codes, knowsRays } = this.about;
+    const found = this.sample(x);
+    if (found === null) return null;
+    const density = this.extinction(found, x) / codes.density;
+    const more = [`density ${words(density)} per scene unit`];
+    const count = Math.round(2 ** ((found.rays / codes.lastRays) * codes.rays) - 1);
+    if (knowsRays) more.push(`training rays behind U: about ${words(count)}`);
+    return { log10U: this.log10(found.share), isUnseen: found.unseen > 0.5, more };
+  }
+
+  /** What a scene unit absorbs of light at a point, where the lattice has this sample. */
+  extinction({ absorbed }, x) {
+    return -Math.log(Math.max(1 - absorbed, 0.001)) / this.length(x);
+  }
+
+  /**
+   * The parts of a ray from a training camera through a scene point that the camera sees: distances of their middles,
+   * their own variance along the ray, and their weights. The shader does the same.
+   */
+  hits(camera, at, x) {
+    const { min, max } = this.about.bounds;
+    const direction = unit(sub(x, camera.position));
+    const ends = [0, 1, 2].map((k) => [min[k], max[k]].map((v) => (v - camera.position[k]) / (direction[k] || 1e-12)));
+    let t = Math.max(0, ...ends.map((pair) => Math.min(...pair)));
+    const last = Math.min(...ends.map((pair) => Math.max(...pair)));
+    const hits = [];
+    for (let passed = 1, i = 0; i < 4096 && t < last && passed > 0.003; i++) {
+      const place = add(camera.position, scale(direction, t));
+      const thickness = 0.5 * this.length(place);
+      const found = this.sample(place);
+      if (found !== null && found.absorbed > 4e-6) {
+        const weight = passed * (1 - Math.exp(-thickness * this.extinction(found, place)));
+        hits.push({ depth: t, variance: thickness ** 2 / 12, weight });
+        passed -= weight;
+      }
+      t += thickness;
+    }
+    return hits;
+  }
+
+  /** log10 U at a scene point on a ray; the prior's without matter. */
+  log10UAt(x) {
+    const found = this.sample(x);
+    return found === null ? this.about.prior : this.log10(found.share);
+  }
+
+  /** How wide the page's cells are. */
+  resolution(x) {
+    return this.length(x);
+  }
+
+  /** The lattice's interpolated values at a scene point; null without matter. */
+  sample(x) {
+    const { grid, codes, atlas } = this.about;
     const g = this.lattice(x);
     const brick = g.map((v, k) => Math.min(Math.max(Math.floor(v / 7), 0), grid.bricks[k] - 1));
     const page = 4 * (brick[0] + grid.bricks[0] * (brick[1] + grid.bricks[1] * brick[2]));
@@ -111,12 +164,7 @@ class Volume {
     const near = inside.map((v) => Math.min(Math.round(v / 2), 3));
     const slot = this.pages[page] + atlas[0] * (this.pages[page + 1] + atlas[1] * this.pages[page + 2]);
     const rays = this.rays[64 * slot + near[0] + 4 * (near[1] + 4 * near[2])];
-    const absorbed = (sums[0] / 255) ** 2;
-    const density = -Math.log(Math.max(1 - absorbed, 0.001)) / this.length(x) / codes.density;
-    const more = [`density ${words(density)} per scene unit`];
-    const count = Math.round(2 ** ((rays / codes.lastRays) * codes.rays) - 1);
-    if (knowsRays) more.push(`training rays behind U: about ${words(count)}`);
-    return { log10U: this.log10(sums[1]), isUnseen: sums[2] > 0.5, more };
+    return { absorbed: (sums[0] / 255) ** 2, share: sums[1], unseen: sums[2], rays };
   }
 }
 
