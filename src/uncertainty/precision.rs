@@ -9,6 +9,7 @@ use super::{Support, UncertaintyField};
 use crate::octree::{MaxLevels, VertexId, morton};
 use crate::posterior::{DataScale, Information, LocalSums, OctreePosterior, Scale, VertexSums, comparable, trace};
 use crate::{Error, Result};
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// The precision P_v of the displacements of all vertices.
@@ -63,6 +64,12 @@ impl Precision<'_> {
     #[must_use]
     pub fn sums(&self) -> OctreePosterior {
         OctreePosterior::limited(self.field.lattice, self.limits.clone())
+    }
+
+    /// Where the vertex lies that rays add to, scene units.
+    #[must_use]
+    pub fn position(&self, added: &Added) -> DVec3 {
+        self.field.lattice.position(DVec3::from(morton::decode(added.code).map(f64::from)))
     }
 
     /// What rays of a view add, by Morton code, if each stands for `pixels` pixels.

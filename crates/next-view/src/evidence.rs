@@ -1,9 +1,10 @@
 //! What a view would show, found by some of its pixels' rays through the model. Its image is not needed: Gauss-Newton's
 //! Hessian has Jacobians only.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rustc_hash::FxHashMap;
 
+use super::Region;
 use super::coverage::Facet;
 use octobayes::geometry::{Camera, Lattice};
 use octobayes::monitor::Monitor;
@@ -73,6 +74,8 @@ pub struct Viewer<'a> {
     pub ray_coverage: Option<&'a RayCoverage>,
     /// The cells of facets.
     pub cells: Lattice,
+    /// The places that count.
+    pub region: Option<Region<'a>>,
     /// Most pixels of a view.
     pub pixels: u64,
     /// Seed of pixels and jitter.
@@ -100,6 +103,11 @@ impl Viewer<'_> {
         picks.chunks(BATCH).enumerate().map(batch).collect()
     }
 
+    /// Whether a place, scene units, counts.
+    pub fn counts(&self, x: DVec3) -> bool {
+        self.region.is_none_or(|region| region(x))
+    }
+
     /// What a view would show.
     ///
     /// # Errors
@@ -116,6 +124,7 @@ impl Viewer<'_> {
                 let mut sums = precision.sums();
                 sums.add(&samples);
                 evidence.added = precision.added(&sums, camera.pixels() as f64 / rays as f64);
+                evidence.added.retain(|added| self.counts(precision.position(added)));
                 samples
             }
         };
@@ -133,7 +142,7 @@ impl Viewer<'_> {
         // Rays of a model that is not marched end at centres, which lie on the surface.
         let in_front = self.source.march_step().unwrap_or(0.0);
         let bounds = self.source.bounds();
-        let mut seen: FxHashMap<usize, glam::DVec3> = FxHashMap::default();
+        let mut seen: FxHashMap<usize, DVec3> = FxHashMap::default();
         let mut ends: FxHashMap<usize, u32> = FxHashMap::default();
         let mut crossing = 0;
         for VisibleSegment { ray, until } in sight {
@@ -145,12 +154,15 @@ impl Viewer<'_> {
             let x = ray.at((until - in_front).max(0.0)).as_vec3();
             let Some(cell) = cell_of(&self.cells, x) else { continue };
             evidence.met += 1;
+            if !self.counts(x.as_dvec3()) {
+                continue;
+            }
             *seen.entry(cell).or_default() -= ray.direction;
             if let Some(cell) = self.ray_coverage.and_then(|ray_coverage| ray_coverage.cell(x)) {
                 *ends.entry(cell).or_default() += 1;
             }
         }
-        let facet = |(cell, towards): (usize, glam::DVec3)| Some(Facet { cell, towards: towards.try_normalize()? });
+        let facet = |(cell, towards): (usize, DVec3)| Some(Facet { cell, towards: towards.try_normalize()? });
         evidence.facets = seen.into_iter().filter_map(facet).collect();
         evidence.facets.sort_unstable_by_key(|facet| facet.cell);
         evidence.ends = ends.into_iter().collect();

@@ -49,6 +49,7 @@ mod map;
 mod objective;
 mod ranking;
 mod report;
+mod way;
 
 pub use evidence::Blank;
 pub use ranking::{NextView, Ranking, Step};
@@ -60,14 +61,19 @@ pub use self::{
     made::{Around, Made},
     map::GainMap,
     report::{NamedCandidate, NamedStep, Report},
+    way::Way,
 };
 
+use glam::DVec3;
 use octobayes::posterior::Information;
 
 /// What more precision at one vertex is worth, given P and ΔP, both symmetric 3×3: xx, xy, xz, yy, yz, zz, in
 /// 1 / scene unit². As [`log_det`] and [`first_order`].
 #[doc(hidden)]
 pub type VertexGain<'a> = &'a (dyn Fn(&Information, &Information) -> f64 + Sync);
+
+/// The places that count: whether a point, scene units, is one of them.
+pub type Region<'a> = &'a (dyn Fn(DVec3) -> bool + Sync);
 
 octobayes::choices! {
     /// What a view is worth.

@@ -47,8 +47,8 @@ impl GainMap {
             let points = ImagePoints { at, jitter, first: u64::from(row) * u64::from(width) };
             for samples in samples(&*look, &[points], monitor)? {
                 sums.each_ray(&samples, |ray, touched| {
-                    let added: Vec<Added> =
-                        touched.iter().map(|(point, sums)| precision.added_at(*point, *sums, 1.0)).collect();
+                    let added = touched.iter().map(|(point, sums)| precision.added_at(*point, *sums, 1.0));
+                    let added: Vec<Added> = added.filter(|added| viewer.counts(precision.position(added))).collect();
                     gains[ray as usize] = objective.worth(&added) as f32;
                 });
             }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::evidence::{Blank, Evidence, Viewer};
 use super::greedy::Candidates;
 use super::objective::Objective;
-use super::{Gain, GainMap, Settings, VertexGain};
+use super::{Gain, GainMap, Region, Settings, VertexGain};
 use octobayes::estimate::{Model, RaySettings};
 use octobayes::geometry::{Camera, Lattice};
 use octobayes::monitor::{Monitor, Silent, check};
@@ -82,6 +82,8 @@ octobayes::setters! {
         training: &'a [Camera],
         /// Set by [`NextView::vertex_gain`].
         vertex_gain: Option<VertexGain<'a>> as skip,
+        /// The part of the scene whose displacements, or surface, count; all of it if none is given.
+        region: Option<Region<'a>>,
         /// Settings.
         settings: Settings,
         /// Receives progress and can stop the work.
@@ -93,7 +95,7 @@ impl<'a> NextView<'a> {
     /// Ranks `candidates` for the `model` whose uncertainty is `field`.
     pub fn new(model: &'a dyn Model, field: &'a UncertaintyField, candidates: &'a [Camera]) -> Self {
         let settings = Settings::default();
-        Self { model, field, candidates, training: &[], vertex_gain: None, settings, monitor: &Silent }
+        Self { model, field, candidates, training: &[], vertex_gain: None, region: None, settings, monitor: &Silent }
     }
 
     /// Stands for the log det or trace of a vertex. It must not grow with P, or lazy and full rescoring may differ.
@@ -261,6 +263,7 @@ impl<'a> NextView<'a> {
             precision,
             ray_coverage: self.field.ray_coverage(),
             cells,
+            region: self.region,
             pixels,
             seed,
         }

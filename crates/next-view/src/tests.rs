@@ -53,7 +53,16 @@ fn source(scene: &ClosedForm) -> VolumeRenderer<'_> {
 
 fn viewer(source: &dyn Renderer) -> Viewer<'_> {
     let cells = lattice().coarsened(3);
-    Viewer { source, pixel_offset: 0.5, precision: None, ray_coverage: None, cells, pixels: PIXELS, seed: 0 }
+    Viewer {
+        source,
+        pixel_offset: 0.5,
+        precision: None,
+        ray_coverage: None,
+        cells,
+        region: None,
+        pixels: PIXELS,
+        seed: 0,
+    }
 }
 
 /// The samples of every pixel draw of some views.
