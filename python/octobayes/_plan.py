@@ -31,6 +31,8 @@ def next_view(
     sphere: int | None = None,
     upper: bool = False,
     orbit: int | None = None,
+    near: int | None = None,
+    object: Any = None,
     up: Any = None,
     take: int = DEFAULT.take,
     gain: str = DEFAULT.gain,
@@ -55,11 +57,14 @@ def next_view(
     candidates: an array of poses ``[C, 4, 4]`` or ``[C, 3, 4]`` (camera-to-world, OpenGL axes, scene units), which get
     the lens and the size of the first training camera; or cameras as :func:`uncertainty` takes them, of a file all
     frames. Without candidates they are made: ``sphere`` of them around the middle of u's box (``upper``: over the upper
-    half), or ``orbit`` on a level circle, as far away as the training cameras are and with their lens; those that stand
-    in matter are left out. ``up``: what is up for them, a direction ``[3]``; by default what is level in the training
-    cameras. ``cameras``, ``views``, ``resolution`` and ``fov`` give the training cameras as in
-    :func:`uncertainty`; they are read only where they count: for poses, for candidates that are made, and for
+    half), or ``orbit`` on a level circle, as far away as the training cameras are and with their lens; or ``near``:
+    where a photographer may stand who took the others. Those that stand in matter are left out. ``up``: what is up for
+    them, a direction ``[3]``; by default what is level in the training cameras. ``cameras``, ``views``, ``resolution``
+    and ``fov`` give the training cameras as in :func:`uncertainty`; they are read only where they count: for poses, for
+    candidates that are made, and for
     'coverage'. ``resolution`` is the candidates' image size, too.
+
+    object: a box ``[2, 3]``, the part of the scene whose displacements count; by default all of it.
 
     take: how many views. gain: 'logdet' (Σ ½ log det(I + P⁻¹ ΔP) over vertices, nats), 'trace' (its first-order term
     Σ ½ tr(P⁻¹ ΔP)) or 'coverage' (from which sides visible surface was seen). pixels: how many of a candidate's pixels
@@ -84,14 +89,14 @@ def next_view(
     nerf = _opened(nerf, cameras, u)
     if isinstance(nerf, Splats):
         _refuse_for_splats(occupancy=(occupancy, DEFAULT.occupancy))
-    made = {"sphere": sphere, "orbit": orbit}
+    made = {"sphere": sphere, "orbit": orbit, "near": near}
     ways = [name for name, value in {"candidates": candidates, **made}.items() if value is not None]
     if len(ways) != 1:
-        raise wrong("candidates", "candidates, sphere or orbit, one of them", " and ".join(ways) or "none")
+        raise wrong("candidates", "candidates, sphere, orbit or near, one of them", " and ".join(ways) or "none")
     if flag("upper", upper) and sphere is None:
         raise wrong("upper", "sphere beside it", "none")
     if up is not None and candidates is not None:
-        raise wrong("up", "sphere or orbit beside it", "candidates")
+        raise wrong("up", "sphere, orbit or near beside it", "candidates")
     are_poses = candidates is not None and not _are_cameras(candidates)
     training = None
     if are_poses or candidates is None or gain == "coverage":
@@ -105,6 +110,7 @@ def next_view(
     options = {
         **{name: None if count is None else whole(name, count, 1, MOST) for name, count in made.items()},
         "upper": upper,
+        "object": None if object is None else floats("object", object, (2, 3), np.float64).ravel().tolist(),
         "up": None if up is None else floats("up", up, (3,), np.float64).tolist(),
         "names": [] if given is None else given.names,
         "file": os.fspath(candidates) if isinstance(candidates, (str, os.PathLike)) else None,

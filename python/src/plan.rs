@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use octobayes::geometry::Aabb;
 use octobayes::glam::DVec3;
 use octobayes::monitor::Message;
-use octobayes_next_view::{Around, GainMap, Made, NextView, Report, Settings};
+use octobayes_next_view::{Around, GainMap, Made, NextView, Region, Report, Settings};
 use octobayes_session::Candidates;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -47,6 +48,11 @@ pub fn next_view<'py>(
         .pixels(options.or("pixels", defaults.pixels)?)
         .seed(options.or("seed", defaults.seed)?)
         .occupancy(options.or("occupancy", defaults.occupancy)?);
+    let object = options.get::<[f64; 6]>("object")?.map(|ends| {
+        let [a, b] = [0, 3].map(|k| DVec3::new(ends[k], ends[k + 1], ends[k + 2]));
+        Aabb::new(a, b)
+    });
+    let object = object.transpose().or_raise()?;
     let is_mapped = options.or("map", false)?;
     let up = options.get::<[f64; 3]>("up")?.map(DVec3::from);
     if is_mapped {
@@ -60,7 +66,8 @@ pub fn next_view<'py>(
                 (Some(views), _) => (names, views),
                 (None, made) => {
                     let around = Around::like(&training, field.lattice().domain(), up)?;
-                    let (names, views, buried) = made.cameras(&around, model, field.record().march_step);
+                    let (names, views, buried) =
+                        made.cameras(&around, field.surface(), model, field.record().march_step);
                     if buried > 0 {
                         let kind = made.kind();
                         texts.push((format!("{buried} cameras of {kind}= stand in matter and are left out"), true));
@@ -69,7 +76,12 @@ pub fn next_view<'py>(
                 }
             };
             let next = NextView::new(model, &field, &views);
-            let next = next.training(&training).settings(settings).monitor(engine.monitor());
+            let contains = object.map(|bounds| move |x: DVec3| bounds.contains(x.as_vec3()));
+            let next = next
+                .training(&training)
+                .settings(settings)
+                .region(contains.as_ref().map(|contains| -> Region { contains }))
+                .monitor(engine.monitor());
             let ranking = next.run()?;
             let asked = Candidates {
                 model,
@@ -98,8 +110,9 @@ pub fn next_view<'py>(
 fn made(options: &Options) -> PyResult<Made> {
     let is_upper = options.or("upper", false)?;
     let sphere = options.get("sphere")?.map(|count| Made::Sphere { count, is_upper });
-    Ok(match sphere {
-        Some(sphere) => sphere,
+    let near = options.get("near")?.map(|count| Made::Near { count });
+    Ok(match sphere.or(near) {
+        Some(made) => made,
         None => Made::Orbit { count: options.or("orbit", 1)? },
     })
 }

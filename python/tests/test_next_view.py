@@ -110,7 +110,7 @@ def test_callables_are_ranked_as_the_model_that_they_are(courtyard, front, known
 
 @pytest.mark.parametrize("gain", ["logdet", "trace", "coverage"])
 def test_candidates_are_made_for_every_gain(gain, courtyard, front, known):
-    for made in ({"orbit": 6}, {"sphere": 9, "upper": True}):
+    for made in ({"orbit": 6}, {"sphere": 9, "upper": True}, {"near": 7}):
         found = ob.next_view(courtyard, known, gain=gain, take=2, cameras=front, **made, **QUIET)
         kind, count = next(iter(made.items()))
         assert found["gain"] == gain and len(found["gains"]) == count and len(found["poses"]) == 2
@@ -147,14 +147,14 @@ def test_what_cannot_be_ranked_is_refused_by_name(courtyard, front, known, field
     poses = around(np.array([1.0]))
     refused = [
         ({"u": field, "candidates": poses}, "^scale='data': expected a field computed with it"),
-        ({}, "^candidates: expected candidates, sphere or orbit, one of them, found none"),
+        ({}, "^candidates: expected candidates, sphere, orbit or near, one of them, found none"),
         ({"candidates": poses, "orbit": 3}, "found candidates and orbit"),
         ({"orbit": 3, "upper": True}, "^upper: expected sphere beside it"),
         ({"candidates": np.zeros((2, 5))}, r"^candidates: expected an array of poses \[C, 4, 4\] or \[C, 3, 4\]"),
         ({"candidates": np.full((1, 4, 4), np.nan)}, "^candidates: expected finite numbers"),
         ({"orbit": 3, "up": [0, 0, 0]}, "^up: expected a direction, such as 0,0,1, found 0,0,0"),
         ({"orbit": 3, "up": [0, 1]}, r"^up: expected an array of real numbers of shape \[3\]"),
-        ({"candidates": poses, "up": [0, 0, 1]}, "^up: expected sphere or orbit beside it, found candidates"),
+        ({"candidates": poses, "up": [0, 0, 1]}, "^up: expected sphere, orbit or near beside it, found candidates"),
         ({"orbit": 0}, "^orbit: expected a whole number, 1 to 100000"),
         ({"orbit": 3, "gain": "entropy"}, "^gain: expected .*'logdet'.*found 'entropy'"),
         ({"orbit": 3, "gain": "coverage", "map": True}, "^map: expected a gain of"),
@@ -202,7 +202,12 @@ def test_the_program_says_the_same(gain, tmp_path, monkeypatch):
         parts = ("candidates", "gain", "pixels", "seed", "complete")
         return {**{key: ranking[key] for key in parts}, "steps": steps}
 
-    for words, made in (("--orbit 7", {"orbit": 7}), ("--sphere 9 --upper", {"sphere": 9, "upper": True})):
+    box = [[-0.5, -0.5, -0.5], [0.5, 0.4, 0.3]]
+    for words, made in (
+        ("--orbit 7", {"orbit": 7}),
+        ("--sphere 9 --upper", {"sphere": 9, "upper": True}),
+        ("--near 8 --object=-0.5,-0.5,-0.5,0.5,0.4,0.3", {"near": 8, "object": box}),
+    ):
         command = f"next-view scene:courtyard field.oct {words} {options} --resolution 40"
         expected = json.loads(octobayes(f"{command} -o ranking.json --chosen next.json --json"))
         found = ob.next_view(model, u, resolution=40, **made, **arguments)

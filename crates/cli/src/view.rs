@@ -16,9 +16,10 @@ use octobayes::geometry::Camera;
 use octobayes::render::VolumeRenderer;
 use octobayes::uncertainty::{BakedField, UncertaintyField};
 use octobayes::{Error, Result};
-use octobayes_data::{Frame, FrameSplit, Part, Selection};
+use octobayes_data::{Frame, FrameSplit, Part, Selection, Views};
 use octobayes_session::{OpenedModel, image_settings};
 use octobayes_show::export::surfaces;
+use octobayes_show::plan_page::planned_cameras;
 use octobayes_show::viewer::{Page, ShownSplats, ShownVolume, SplatsView, VolumeView, write_splats_view, write_volume};
 use octobayes_splats::{SeenSplats, SplatRenderer, Splats};
 
@@ -58,6 +59,10 @@ pub struct Args {
 
     #[command(flatten)]
     unit: UnitOptions,
+
+    /// Show the cameras of a plan, too: the page or the camera file (--chosen) of `next-view`
+    #[arg(long, value_name = "PLAN.html|CAMERAS.json", help_heading = heading::INPUT)]
+    plan: Option<PathBuf>,
 
     /// File to write, `.html`
     #[arg(short, long, value_name = "VIEW.html", help_heading = heading::OUTPUT)]
@@ -112,12 +117,29 @@ impl Args {
         (unit.factor, unit.name())
     }
 
+    /// The cameras of the plan.
+    fn planned(&self) -> Result<Vec<Frame>> {
+        let Some(path) = &self.plan else { return Ok(Vec::new()) };
+        if path.extension().is_none_or(|extension| extension != "html") {
+            return Ok(Views::read(path, None)?.frames);
+        }
+        let bytes = octobayes::io::read(path)?;
+        let page = String::from_utf8_lossy(&bytes);
+        let expected = "a plan, which `next-view -o PLAN.html` writes";
+        let cameras = planned_cameras(&page).ok_or_else(|| Error::malformed(path, "page", expected, "another page"))?;
+        let folder = tempfile::tempdir().map_err(Error::io(path, "cannot unpack its cameras"))?;
+        let file = folder.path().join("transforms.json");
+        std::fs::write(&file, cameras).map_err(Error::io(path, "cannot unpack its cameras"))?;
+        Ok(Views::read(&file, None)?.frames)
+    }
+
     /// The files that are read and written.
     fn files(&self) -> CommandFiles {
         CommandFiles::default()
             .input("MODEL", &self.model.model)
             .input("FIELD", &self.field)
             .cameras(self.cameras.cameras.as_deref())
+            .inputs("--plan", &self.plan)
             .output("--output", &self.output)
     }
 
@@ -139,6 +161,7 @@ impl Args {
         let page = Page {
             field,
             frames: &views.frames,
+            planned: &self.planned()?,
             offset,
             background: tracer.background,
             surface: &surface,
@@ -170,6 +193,7 @@ impl Args {
         let page = Page {
             field,
             frames: &frames,
+            planned: &self.planned()?,
             offset,
             background: settings.background,
             surface: if surface.is_empty() { splats.means() } else { &surface },

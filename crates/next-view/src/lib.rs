@@ -46,6 +46,7 @@ mod gain;
 mod greedy;
 mod made;
 mod map;
+mod object;
 mod objective;
 mod ranking;
 mod report;
@@ -60,6 +61,7 @@ pub use self::{
     gain::{first_order, log_det},
     made::{Around, Made},
     map::GainMap,
+    object::NearMesh,
     report::{NamedCandidate, NamedStep, Report},
     way::Way,
 };

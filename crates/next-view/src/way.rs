@@ -25,14 +25,23 @@ impl Way {
     /// From camera `from` to camera `to`, where `up` is a unit vector.
     #[must_use]
     pub fn between(from: &Camera, to: &Camera, up: DVec3) -> Self {
-        let ahead = level(from, up);
+        let ahead = Self::level(from, up);
         let right = ahead.cross(up);
         let moved = to.position - from.position;
         let steps = DVec3::new(moved.dot(right), moved.dot(ahead), moved.dot(up));
-        let other = level(to, up);
+        let other = Self::level(to, up);
         let turn = other.dot(right).atan2(other.dot(ahead)).to_degrees();
         let pitch = (-to.axes.z_axis).dot(up).clamp(-1.0, 1.0).asin().to_degrees();
         Self { steps, turn, pitch }
+    }
+
+    /// Where a camera looks, without what it looks up or down; where the top of its image is if it looks straight down
+    /// or up. A unit vector.
+    #[must_use]
+    pub fn level(camera: &Camera, up: DVec3) -> DVec3 {
+        let [ahead, top] = [-camera.axes.z_axis, camera.axes.y_axis].map(|v| v.reject_from_normalized(up));
+        let is_steep = ahead.length() < 0.05;
+        (if is_steep { top } else { ahead }).try_normalize().unwrap_or_else(|| up.any_orthonormal_vector())
     }
 
     /// In words, such as `1.2 m to the left, 0.4 m higher; turn 30° to the right, look down 20°`. `length` writes
@@ -62,14 +71,6 @@ impl fmt::Display for Way {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         f.write_str(&self.words(|v| format!("{v:.3} scene units")))
     }
-}
-
-/// Where a camera looks, without what it looks up or down; where the top of its image is if it looks straight down or
-/// up.
-fn level(camera: &Camera, up: DVec3) -> DVec3 {
-    let [ahead, top] = [-camera.axes.z_axis, camera.axes.y_axis].map(|v| v.reject_from_normalized(up));
-    let steep = ahead.length() < 0.05;
-    (if steep { top } else { ahead }).try_normalize().unwrap_or_else(|| up.any_orthonormal_vector())
 }
 
 #[cfg(test)]

@@ -6,15 +6,29 @@ use std::path::Path;
 use glam::DVec3;
 
 use octobayes::error::printable;
-use octobayes::estimate::{Framing, Model};
+use octobayes::estimate::{Framing, Model, RaySettings};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Message;
+use octobayes::render::GradientMethod;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
 use octobayes_data::Views;
 use octobayes_evaluation::training_cameras;
 use octobayes_next_view::{Blank, Ranking};
 
+use super::{Choices, Purpose, Session};
+
+impl Session {
+    /// Sets what a field for the next photograph needs.
+    #[must_use]
+    pub fn for_next_view(self, noise: Option<f64>) -> Self {
+        let choices = Choices { purpose: Some(Purpose::NextView), noise, ..Choices::default() };
+        self.rays(RaySettings::default().rays(RAYS).gradient(GradientMethod::Auto)).choices(choices)
+    }
+}
+
+/// Rays of a field for the next photograph: some dozens for each vertex near to surfaces at its level.
+const RAYS: u64 = 200_000;
 /// Candidates whose names are listed.
 const MAX_NAMES: usize = 3;
 /// Cosine between the mean up axes of candidates and of training cameras, below which one of them is upside down.

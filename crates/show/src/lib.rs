@@ -1,5 +1,5 @@
 //! What people look at: files for other tools ([`export`]), pictures ([`picture`]), and pages for a browser
-//! ([`viewer`], [`comparison`]).
+//! ([`viewer`], [`comparison`], [`depth_page`], [`plan_page`]).
 //!
 //! # Example
 //! ```
@@ -23,4 +23,5 @@ pub mod comparison;
 pub mod depth_page;
 pub mod export;
 pub mod picture;
+pub mod plan_page;
 pub mod viewer;

@@ -234,6 +234,7 @@ impl Args {
         let page = Page {
             field,
             frames: &frames,
+            planned: &[],
             offset: 0.5,
             background: tracer.background,
             surface: &surface,

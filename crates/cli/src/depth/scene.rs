@@ -1,15 +1,14 @@
 //! A model with its training cameras, ready for depths with their deviations.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::files::CommandFiles;
-use crate::opened::open_field;
-use crate::options::{CameraOptions, FrameOptions, TrainingOptions, heading};
+use crate::opened::{compute_field, open_field};
+use crate::options::{CameraOptions, FrameOptions, RunOptions, heading};
 use crate::progress::Bars;
 use crate::streams::tell;
-use octobayes::estimate::Checkpoint;
+use octobayes::Result;
 use octobayes::uncertainty::{BakedField, UncertaintyField};
-use octobayes::{Error, Result};
 use octobayes_data::{Frame, Part, Views};
 use octobayes_depth::{DepthDeviation, Surveyor};
 use octobayes_session::{OpenedModel, Session, Survey, image_settings};
@@ -24,26 +23,11 @@ pub struct SceneOptions {
     frames: FrameOptions,
 
     #[command(flatten)]
-    training: TrainingOptions,
-
-    /// Root mean square error of colours that training left, 10^(-PSNR/20) [default: that which the model stores, or
-    /// by the images beside the cameras]
-    #[arg(
-        long,
-        value_name = "NOISE",
-        value_parser = crate::options::parse_noise,
-        help_heading = heading::INPUT,
-        hide_short_help = true,
-    )]
-    noise: Option<f64>,
+    run: RunOptions,
 
     /// Do not use the images beside the cameras: deviations then follow from the field alone
     #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
     no_images: bool,
-
-    /// Start the field over, and discard the state of a run that was interrupted
-    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
-    restart: bool,
 }
 
 /// A model, its field, and the cameras of its training.
@@ -70,15 +54,7 @@ impl SceneOptions {
     /// The files that are read. Refuses options of a run beside a field.
     pub fn files(&mut self, model: &str, field: Option<&Path>) -> Result<CommandFiles> {
         self.cameras.find(Part::Training);
-        let given = [
-            ("--noise", self.noise.is_some()),
-            ("--background", self.training.background.is_some()),
-            ("--splat-mode", self.training.splat_mode.is_some()),
-            ("--restart", self.restart),
-        ];
-        if let Some((option, _)) = given.iter().find(|(_, is_given)| *is_given && field.is_some()) {
-            return Err(Error::setting(*option, "none beside FIELD, which is computed already", "one"));
-        }
+        self.run.check(field.is_some())?;
         let files = CommandFiles::default().input("MODEL", model).inputs("FIELD", field);
         Ok(files.cameras(self.cameras.cameras.as_deref()))
     }
@@ -100,42 +76,18 @@ impl SceneOptions {
             DepthDeviation::new(&BakedField::unbaked(known), None)?;
         }
         let opened = match known.as_ref().zip(field) {
-            Some((known, path)) => OpenedModel::of_field(known, path, model, self.training.force, &mut tell)?,
-            None => OpenedModel::for_cameras(model, self.cameras.cameras.is_some(), self.training.splat_mode)?,
+            Some((known, path)) => OpenedModel::of_field(known, path, model, self.run.training.force, &mut tell)?,
+            None => OpenedModel::for_cameras(model, self.cameras.cameras.is_some(), self.run.training.splat_mode)?,
         };
         let cameras = self.cameras.training(&self.frames, Some(&*opened.model), model)?;
         check(&cameras.views.frames, files.clone().images(&cameras.views))?;
-        let views = cameras.views;
         let field = match known {
             Some(known) => known,
-            None => self.compute(&opened, &views, &cameras.source, save, bars)?,
+            None => compute_field(&opened, (&self.cameras, &cameras), &self.run, Session::for_depths, save, bars)?,
         };
+        let views = cameras.views;
         let uses_images = !self.no_images;
         Ok(Scene { opened, field, views, uses_images })
-    }
-
-    fn compute(
-        &self,
-        opened: &OpenedModel,
-        views: &Views,
-        source: &str,
-        save: Option<&Path>,
-        bars: &Bars,
-    ) -> Result<UncertaintyField> {
-        let session = Session::new(views.clone(), format!("{} seen by {source}", opened.source))?
-            .checksum(Some(opened.checksum))
-            .for_depths(self.noise)
-            .background(self.training.background)
-            .model_file(Some(PathBuf::from(&opened.name)))
-            .checkpoint(save.map(|path| Checkpoint::new(path.with_extension("checkpoint")).restart(self.restart)))
-            .force(self.training.force)
-            .has_chosen_coordinates(opened.coordinates.is_some() && self.cameras.cameras.is_some())
-            .has_given_fov(self.cameras.fov.is_some());
-        let finished = session.prepare(&*opened.model, bars, &mut tell)?.finish(&mut tell)?;
-        if let Some(path) = save {
-            finished.save(path)?;
-        }
-        Ok(finished.field)
     }
 }
 

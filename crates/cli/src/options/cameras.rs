@@ -8,8 +8,8 @@ use glam::Vec3;
 use super::heading;
 use super::parse::{choice, parse_background, parse_fov, parse_resolution, parse_views};
 use crate::streams::tell;
-use octobayes::Result;
 use octobayes::estimate::Model;
+use octobayes::{Error, Result};
 use octobayes_data::{Part, Selection, Views, camera_file, passed_over};
 use octobayes_session::{CameraSource, Resolution, TrainingCameras};
 use octobayes_splats::RenderMode;
@@ -84,6 +84,44 @@ pub struct TrainingOptions {
         hide_short_help = true,
     )]
     pub splat_mode: Option<RenderMode>,
+}
+
+/// Options of a run that computes the field which a verb was not given.
+#[derive(Args)]
+pub struct RunOptions {
+    #[command(flatten)]
+    pub training: TrainingOptions,
+
+    /// Root mean square error of colours that training left, 10^(-PSNR/20) [default: that which the model stores, or
+    /// by the images beside the cameras]
+    #[arg(
+        long,
+        value_name = "NOISE",
+        value_parser = super::parse_noise,
+        help_heading = heading::INPUT,
+        hide_short_help = true,
+    )]
+    pub noise: Option<f64>,
+
+    /// Start the field over, and discard the state of a run that was interrupted
+    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
+    pub restart: bool,
+}
+
+impl RunOptions {
+    /// Refuses options of a run beside a field.
+    pub fn check(&self, has_field: bool) -> Result<()> {
+        let given = [
+            ("--noise", self.noise.is_some()),
+            ("--background", self.training.background.is_some()),
+            ("--splat-mode", self.training.splat_mode.is_some()),
+            ("--restart", self.restart),
+        ];
+        match given.iter().find(|(_, is_given)| *is_given && has_field) {
+            Some((option, _)) => Err(Error::setting(*option, "none beside FIELD, which is computed already", "one")),
+            None => Ok(()),
+        }
+    }
 }
 
 /// The camera file that a path means for a part. Says so on stderr if a folder has cameras elsewhere, too.

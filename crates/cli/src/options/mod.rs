@@ -7,7 +7,7 @@ mod numbers;
 mod parse;
 mod scale;
 
-pub use cameras::{CameraFile, CameraOptions, FrameOptions, TrainingOptions, of_folder};
+pub use cameras::{CameraFile, CameraOptions, FrameOptions, RunOptions, TrainingOptions, of_folder};
 pub use depth::DepthOptions;
 pub use grid::{DomainOptions, GridOptions, OfficialOptions, check_field_name};
 pub use numbers::{MAX_COUNT, MAX_KEPT_COUNT, RayCount, count, parse_time};

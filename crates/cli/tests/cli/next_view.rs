@@ -158,6 +158,106 @@ fn candidates_with_the_axes_of_opencv_are_told() {
 }
 
 #[test]
+fn a_plan_is_a_page_and_what_is_missing_is_computed() {
+    let desk = desk();
+    let plan = "next-view scene.ply --cameras transforms.json --noise 0.05 --orbit 8 --take 2 --metres-per-unit 2";
+    desk.good(&format!("{plan} -o plan.html --chosen next.json"));
+    let page = desk.text("plan.html");
+    assert_eq!((page.matches("<section>").count(), page.matches("<img ").count()), (2, 4));
+    assert!(page.contains("chosen from 8 places on a circle") && page.contains(" m to the "), "words and metres");
+    // The field lies beside it, and serves the ranking for programs.
+    let ranking =
+        ranked(&desk, &format!("{RANK} --cameras transforms.json --orbit 8 --take 2").replace("scene.oct", "plan.oct"));
+    for step in ranking["steps"].as_array().unwrap() {
+        assert!(page.contains(step["name"].as_str().unwrap()));
+    }
+    // The viewer shows the planned cameras, of the page as of the camera file.
+    let planned = |file: &str| {
+        desk.good(&format!("view scene.ply plan.oct --cameras transforms.json --plan {file} -o view.html"));
+        let view = desk.text("view.html");
+        let about = view.split_once("id=\"about\">").unwrap().1.split_once("</script>").unwrap().0;
+        let about: Value = serde_json::from_str(about).unwrap();
+        let planned = about["cameras"].as_array().unwrap().iter().filter(|camera| camera["isPlanned"] == true);
+        planned.map(|camera| camera["position"].clone()).collect::<Vec<_>>()
+    };
+    let of_page = planned("plan.html");
+    assert!(of_page.len() == 2 && of_page == planned("next.json"));
+    desk.refused("view scene.ply plan.oct --plan view.html -o x.html", &["view.html", "next-view -o PLAN.html"]);
+    desk.refused("next-view scene.ply plan.oct --noise 0.05 --candidates next.json -o x.json", &["--noise", "FIELD"]);
+    desk.refused("next-view scene.ply plan.oct --candidates next.json -o x.txt", &[".html", ".json"]);
+    desk.refused("next-view scene.ply plan.oct --candidates next.json -o x.html", &["--cameras", "brings no cameras"]);
+}
+
+#[test]
+fn a_volume_s_own_cameras_are_enough_for_a_plan() {
+    let desk = Desk::empty();
+    desk.good("next-view scene:courtyard --resolution 32 --noise 0.05 --near 20 --pixels 256 --take 2 -o plan.html");
+    let page = desk.text("plan.html");
+    assert!(page.matches("<section>").count() == 2 && page.contains("near those of the photographs"));
+    assert!(desk.join("plan.oct").is_file());
+}
+
+#[test]
+fn only_the_object_counts() {
+    let desk = with_splats();
+    let rank = |options: &str| ranked(&desk, &format!("{RANK} --cameras transforms.json --orbit 8 {options}"));
+    let all = rank("");
+    assert_eq!(all, rank("--object=-9,-9,-9,9,9,9"), "a box around everything");
+    let gains = |ranking: &Value| -> Vec<f64> {
+        ranking["candidates"].as_array().unwrap().iter().map(|one| one["gain"].as_f64().unwrap()).collect()
+    };
+    let (of_all, lower) = (gains(&all), gains(&rank("--object=-1,-1,-1,1,1,-0.05")));
+    assert!(lower.iter().zip(&of_all).all(|(a, b)| a < b) && lower.iter().sum::<f64>() > 0.0, "{lower:?} {of_all:?}");
+    // Parts that share no vertex add up, as a vertex counts once.
+    let upper = gains(&rank("--object=-1,-1,-0.05000001,1,1,1"));
+    let sums = lower.iter().zip(&upper).zip(&of_all).map(|((a, b), all)| (a + b) / all);
+    assert!(sums.into_iter().all(|share| (share - 1.0).abs() < 1e-9), "{upper:?}");
+    // A mesh: what is near to its surface.
+    desk.write("part.obj", "v 0.6 -0.2 -0.2\nv 0.6 0.2 -0.2\nv 0.6 0 0.2\nf 1 2 3\n");
+    let near = gains(&rank("--object part.obj"));
+    assert!(near.iter().zip(&of_all).all(|(a, b)| a < b) && near.iter().sum::<f64>() > 0.0, "{near:?}");
+    let refused = |object: &str, words: &[&str]| {
+        desk.refused(&format!("{RANK} --cameras transforms.json --orbit 8 --object {object}"), words);
+    };
+    desk.write("far.obj", "v 50 0 0\nv 50 1 0\nv 50 0 1\nf 1 2 3\n");
+    refused("far.obj", &["far.obj", "in the field's domain"]);
+    refused("none.obj", &["none.obj"]);
+    // Nobody sees it.
+    refused("5,5,5,6,6,6", &["candidates", "views that add something"]);
+}
+
+#[test]
+fn photographs_that_were_not_used_are_candidates() {
+    let desk = with_splats();
+    let mut file: Value = serde_json::from_str(&desk.text("transforms.json")).unwrap();
+    for (k, frame) in file["frames"].as_array_mut().unwrap().iter_mut().enumerate() {
+        frame["file_path"] = format!("{}/r_{k}.png", if k == 3 { "left" } else { "images" }).into();
+    }
+    file["train_filenames"] = serde_json::json!(["images/r_0.png", "images/r_1.png"]);
+    file["test_filenames"] = serde_json::json!(["images/r_2.png", "left/r_3.png"]);
+    desk.write("split.json", file.to_string());
+    for folder in ["images", "left"] {
+        std::fs::create_dir(desk.join(folder)).unwrap();
+    }
+    let image = image::RgbImage::new(48, 40);
+    ["images/r_0", "images/r_1", "images/r_2", "left/r_3"]
+        .map(|name| image.save(desk.join(&format!("{name}.png"))).unwrap());
+    desk.write("all.txt", "r_0\nr_2.png\n\nleft/r_3.png\n");
+    let rank = "next-view scene.ply scene.oct --cameras split.json -o r.json";
+    let names = |unused: &str| -> Vec<String> {
+        let ranking = ranked(&desk, &format!("{rank} --unused {unused} --take 4"));
+        ranking["candidates"].as_array().unwrap().iter().map(|one| one["name"].as_str().unwrap().into()).collect()
+    };
+    assert_eq!(names("all.txt"), ["images/r_2.png", "left/r_3.png"], "those of the training are left out");
+    assert_eq!(names("left"), ["left/r_3.png"]);
+    assert_eq!(names("images"), ["images/r_2.png"]);
+    desk.write("wrong.txt", "r_2\nr_9\n");
+    desk.refused(&format!("{rank} --unused wrong.txt"), &["wrong.txt", "r_9"]);
+    desk.write("used.txt", "r_0\n");
+    desk.refused(&format!("{rank} --unused used.txt"), &["--unused", "it used 1 of those"]);
+}
+
+#[test]
 fn a_camera_path_serves_as_candidates() {
     let desk = with_splats();
     let frames = Views::read(&desk.join("transforms.json"), None).unwrap().frames;

@@ -39,6 +39,8 @@ pub struct Page<'a> {
     pub field: &'a UncertaintyField,
     /// The training cameras.
     pub frames: &'a [Frame],
+    /// Cameras of photographs that are to be added.
+    pub planned: &'a [Frame],
     /// Where in a pixel rays pass.
     pub offset: f64,
     /// Colour behind the model.
@@ -110,14 +112,16 @@ impl Page<'_> {
             (0..256).map(|i| gradient.eval_rational(i, 256).as_array()).collect()
         };
         let spacing = self.frames.len().div_ceil(CAMERAS).max(1);
-        let camera = |(index, frame): (usize, &Frame)| {
+        let camera = |is_planned: bool, index: usize, frame: &Frame| {
             let Camera { position, axes, focal, center, resolution, distortion } = frame.camera;
             json!({
                 "index": index, "name": frame.name, "position": position.to_array(), "axes": axes.to_cols_array(),
                 "focal": focal, "center": center, "resolution": resolution,
-                "isDistorted": distortion != Distortion::default(),
+                "isDistorted": distortion != Distortion::default(), "isPlanned": is_planned,
             })
         };
+        let taken = self.frames.iter().enumerate().step_by(spacing).map(|(k, frame)| camera(false, k, frame));
+        let shown = taken.chain(self.planned.iter().enumerate().map(|(k, frame)| camera(true, k, frame)));
         let cameras: Vec<Camera> = self.frames.iter().map(|frame| frame.camera).collect();
         // A page has keys to turn freely.
         let up = upright(&cameras, None).unwrap_or(DVec3::Z);
@@ -147,7 +151,7 @@ impl Page<'_> {
             "background": self.background.to_array(),
             "pixelOffset": self.offset,
             "maps": { "uncertainty": map(colorous::INFERNO), "depth": map(colorous::VIRIDIS) },
-            "cameras": self.frames.iter().enumerate().step_by(spacing).map(camera).collect::<Vec<_>>(),
+            "cameras": shown.collect::<Vec<_>>(),
         })
     }
 }

@@ -181,6 +181,7 @@ mod tests {
         let page = Page {
             field: &field,
             frames: &frames,
+            planned: &[],
             offset: 0.5,
             background: tracer.background,
             surface: &surface,

@@ -133,6 +133,7 @@ fn written(budget: usize) -> Result<(ShownSplats, String)> {
     let page = Page {
         field: &field,
         frames: &[],
+        planned: &[],
         offset: 0.5,
         background: Vec3::ONE,
         surface: splats.means(),

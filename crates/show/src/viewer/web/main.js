@@ -72,7 +72,8 @@ class Viewer {
     const { resolution, center } = this.camera;
     const hit = this.read(center[0], center[1]);
     if (hit) this.camera.distance = hit.depth;
-    const name = `${camera.index}: ${camera.name} (${resolution.join(' × ')})`;
+    const number = camera.isPlanned ? `plan ${camera.index + 1}` : camera.index;
+    const name = `${number}: ${camera.name} (${resolution.join(' × ')})`;
     const lens = camera.isDistorted ? ', drawn without the distortion of its lens' : '';
     say('camera-name', name + lens);
     this.fitDepths();
@@ -256,7 +257,7 @@ class Viewer {
     const took = performance.now() - start;
     if (this.isMoving) this.shrink = Math.min(8, Math.max(1, shrink * Math.sqrt(took / PATIENCE)));
     [this.overlay.width, this.overlay.height] = [width, height];
-    if (this.frusta) drawFrusta(this.overlay, this.allFrusta(width, height), this.current);
+    if (this.frusta) drawFrusta(this.overlay, this.about.cameras, this.allFrusta(width, height), this.current);
     if (byId('crop').open) drawBox(this.overlay, this.camera, this.shown.crop, this.place(width, height));
     if (this.isMeasuring) drawEnds(this.overlay, this.camera, this.ends, this.place(width, height));
     showDivider(this.isSplit() ? this.shown : null);
@@ -301,7 +302,8 @@ class Viewer {
 /** Fills in what the file says of itself. */
 function introduce({ words, about: { title, prior, range, quantity, cameras } }) {
   say('title', title);
-  say('model', `${words}, ${cameras.length} cameras`);
+  const planned = cameras.filter(({ isPlanned }) => isPlanned).length;
+  say('model', `${words}, ${cameras.length - planned} cameras${planned > 0 ? `, ${planned} planned` : ''}`);
   const slider = byId('threshold');
   // Ends with two digits are whole steps apart. The last one removes nothing; the one before it is below the prior.
   const max = Math.ceil(100 * prior - 0.05);
@@ -324,6 +326,8 @@ async function start() {
     listenToKeys(viewer);
     listenToPanel(viewer);
     status.hidden = true;
+    // A plan is there to be looked at.
+    if (model.about.cameras.some(({ isPlanned }) => isPlanned)) byId('frusta').click();
     return viewer;
   } catch (error) {
     status.textContent = `${error.message} Any browser of the last years with graphics switched on will do.`;

@@ -52,7 +52,7 @@ function surfaceOf(model, camera, at, x) {
 function surveyed(model, x) {
   const distance = (camera) => norm(sub(x, camera.position));
   const cameras = model.about.cameras.map((camera) => ({ camera, at: inside(camera, x), far: distance(camera) }));
-  const near = cameras.filter(({ at }) => at !== null).sort((a, b) => a.far - b.far);
+  const near = cameras.filter(({ camera, at }) => at !== null && !camera.isPlanned).sort((a, b) => a.far - b.far);
   let [best, seen] = [null, 0];
   for (const { camera, at, far } of near) {
     const found = surfaceOf(model, camera, at, x);

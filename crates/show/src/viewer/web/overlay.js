@@ -12,14 +12,16 @@ function frustum(camera, other, place, length) {
   return points.some((p) => p === null) ? null : points.map(place);
 }
 
-/** Draws frusta: `points` of each as [`frustum`] returns them. */
-function drawFrusta(canvas, frusta, current) {
+/** Draws frusta: `points` of each as [`frustum`] returns them. Those of a plan stand out. */
+function drawFrusta(canvas, cameras, frusta, current) {
   const pen = canvas.getContext('2d');
   frusta.forEach((points, k) => {
     if (points === null) return;
     const [eye, ...image] = points;
-    pen.strokeStyle = k === current ? '#ff8000' : 'rgba(20, 90, 160, 0.55)';
-    pen.lineWidth = k === current ? 2 : 1;
+    const { isPlanned } = cameras[k];
+    if (k === current) pen.strokeStyle = '#ff8000';
+    else pen.strokeStyle = isPlanned ? '#d000a8' : 'rgba(20, 90, 160, 0.55)';
+    pen.lineWidth = k === current || isPlanned ? 2 : 1;
     pen.beginPath();
     for (const p of image) {
       pen.moveTo(...eye);

@@ -1,14 +1,20 @@
 //! `next-view`: which photograph should be taken next?
 
-use std::io::Write;
+mod candidates;
+mod object;
+mod plan;
+
 use std::path::{Path, PathBuf};
 
-use glam::DVec3;
 use serde_json::{Value, json};
 
+use self::candidates::{CandidateOptions, Candidates, MAX_COUNT};
+use self::object::Object;
+use self::plan::{Planner, check_training};
+use super::depth::UnitOptions;
 use super::files::CommandFiles;
-use super::opened::open_field;
-use super::options::{CameraOptions, FrameOptions, ModelArgument, choice, count, heading, of_folder, parse_direction};
+use super::opened::{compute_field, open_field};
+use super::options::{CameraOptions, FrameOptions, ModelArgument, RunOptions, choice, count, heading};
 use super::progress::Bars;
 use super::streams::tell;
 use octobayes::geometry::Camera;
@@ -17,84 +23,58 @@ use octobayes::monitor::Message;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
 use octobayes_data::write_exr;
-use octobayes_data::{Part, Views, write_transforms};
-use octobayes_next_view::{Around, Gain, GainMap, Made, NextView, Ranking, Report, Settings};
-use octobayes_session::{self, CameraSource, OpenedModel};
+use octobayes_data::{Frame, Part, Views, write_transforms};
+use octobayes_next_view::{Gain, GainMap, NextView, Ranking, Region, Report, Settings};
+use octobayes_session::{self, OpenedModel, Session, TrainingCameras, image_settings};
 use octobayes_show::picture::{Bar, scalar_panel, write_sheet};
 
-/// Most candidates and views.
-const MAX_COUNT: u64 = 100_000;
-
-/// Rank candidate cameras by how much their images would reduce the uncertainty
+/// Which photographs to add: cameras ranked by how much their images would reduce the uncertainty
 ///
 /// Takes the candidate whose pixels most constrain the displacements that the training images leave free, adds it, takes
 /// the best one beside it, and so on. The gain is the sum over vertices of 1/2 log det(I + P^-1 dP), nats, where
 /// P is the precision by `--scale data` and dP what the candidate's pixels add to it through the model. No image is
 /// needed.
 ///
+/// An output that ends in .html is a plan for people: a map, what each photograph would see, and how to get there from
+/// the nearest that there is. One that ends in .json is the ranking for programs.
+///
 /// Only matter is displaced: space behind opaque matter, where the model shows nothing, attracts no view, though no ray
-/// was there. FIELD is one of `uncertainty --for next-view`.
+/// was there.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  \
+    octobayes next-view lego.safetensors --take 5 -o plan.html\n  \
+    octobayes next-view scene.ply --cameras sparse/0 --metres-per-unit 0.35 --take 5 -o plan.html\n  \
     octobayes next-view lego.safetensors lego.oct --candidates transforms_test.json --take 10 -o ranking.json\n  \
     octobayes next-view lego.safetensors lego.oct --sphere 200 --upper --chosen next.json -o ranking.json")]
 pub struct Args {
     #[command(flatten)]
     model: ModelArgument,
 
-    /// The field of its uncertainty, of `uncertainty --for next-view` (or --scale data --keep-sums)
+    /// The field of its uncertainty, of `uncertainty --for next-view` (or --scale data --keep-sums); without it, it is
+    /// computed first, and written beside the output
     #[arg(value_name = "FIELD.oct")]
-    field: PathBuf,
+    field: Option<PathBuf>,
 
-    /// Cameras to choose from: a camera file, or its folder, as for --cameras, or a camera path of nerfstudio's viewer.
-    /// Their images need not exist
-    #[arg(
-        long,
-        value_name = "PATH",
-        required_unless_present_any = ["sphere", "orbit"],
-        help_heading = heading::INPUT,
-    )]
-    candidates: Option<PathBuf>,
-
-    /// Choose from N cameras spread over a sphere around the middle of the box, as far away as the training cameras
-    /// are, and with their lens; those that stand in matter are left out
-    #[arg(
-        long,
-        value_name = "N",
-        value_parser = count::<u32>(1..=MAX_COUNT),
-        conflicts_with = "candidates",
-        help_heading = heading::INPUT,
-    )]
-    sphere: Option<u32>,
-
-    /// Only the upper half of --sphere
-    #[arg(long, requires = "sphere", conflicts_with = "orbit", help_heading = heading::INPUT)]
-    upper: bool,
-
-    /// Choose from N cameras on a circle at the training cameras' median height
-    #[arg(
-        long,
-        value_name = "N",
-        value_parser = count::<u32>(1..=MAX_COUNT),
-        conflicts_with_all = ["candidates", "sphere"],
-        help_heading = heading::INPUT,
-    )]
-    orbit: Option<u32>,
-
-    /// What is up for --orbit and --sphere, a direction in scene units [default: as the training cameras were held]
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        value_parser = parse_direction,
-        allow_hyphen_values = true,
-        conflicts_with = "candidates",
-        help_heading = heading::INPUT,
-        hide_short_help = true,
-    )]
-    up: Option<DVec3>,
+    #[command(flatten)]
+    candidates: CandidateOptions,
 
     #[command(flatten)]
     cameras: CameraOptions,
+
+    #[command(flatten)]
+    run: RunOptions,
+
+    #[command(flatten)]
+    unit: UnitOptions,
+
+    /// The part of the scene that matters: a box X0,Y0,Z0,X1,Y1,Z1, or a mesh near to its surface, in scene units
+    #[arg(
+        long,
+        value_name = "BOX|MESH.obj",
+        allow_hyphen_values = true,
+        help_heading = heading::STATISTICS,
+    )]
+    object: Option<Object>,
 
     /// Number of views to take
     #[arg(
@@ -129,12 +109,8 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0, help_heading = heading::RAYS, hide_short_help = true)]
     seed: u64,
 
-    /// Use the field even if it was computed for another model
-    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
-    force: bool,
-
-    /// Where to write the ranking
-    #[arg(short, long, value_name = "RANKING.json", help_heading = heading::OUTPUT)]
+    /// Where to write the plan for people (.html), or the ranking (.json)
+    #[arg(short, long, value_name = "PLAN.html|RANKING.json", help_heading = heading::OUTPUT)]
     output: PathBuf,
 
     /// Write the cameras that were taken as a camera file
@@ -150,23 +126,25 @@ pub struct Args {
     json: bool,
 }
 
-/// Cameras to choose from, with their names.
-struct Candidates {
-    names: Vec<String>,
-    cameras: Vec<Camera>,
-}
-
 impl Args {
     /// Runs the verb.
     pub fn run(mut self, bars: &Bars) -> Result<()> {
         self.cameras.find(Part::Training);
-        self.candidates = self.candidates.take().map(|path| of_folder(&path, Part::HeldOut));
+        self.candidates.find();
+        self.run.check(self.field.is_some())?;
+        let is_plan = is_html(&self.output)?;
+        // Where the field goes if it is computed.
+        let save = self.field.is_none().then(|| self.output.with_extension("oct"));
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
-            .input("FIELD", &self.field)
+            .inputs("FIELD", &self.field)
             .cameras(self.cameras.cameras.as_deref())
-            .inputs("--candidates", self.candidates.iter().flat_map(|path| Views::files(path)))
+            .inputs("--candidates", self.candidates.file().iter().flat_map(|path| Views::files(path)))
+            .inputs("--unused", self.candidates.list())
+            .inputs("--object", self.object.as_ref().and_then(Object::file))
             .output("--output", &self.output)
+            .outputs("the field beside --output", &save)
+            .outputs("the field beside --output", save.as_ref().map(|path| path.with_extension("checkpoint")))
             .outputs("--chosen", &self.chosen)
             .outputs("--map", &self.map);
         files.check()?;
@@ -174,24 +152,58 @@ impl Args {
             is_exr(path)?;
             self.gain.check_map()?;
         }
-        let field = open_field(&self.field)?;
-        let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
+        let known = self.field.as_deref().map(|path| Ok::<_, Error>((path, open_field(path)?))).transpose()?;
+        let model = &self.model.model;
+        let opened = match &known {
+            Some((path, field)) => OpenedModel::of_field(field, path, model, self.run.training.force, &mut tell)?,
+            None => OpenedModel::for_cameras(model, self.cameras.cameras.is_some(), self.run.training.splat_mode)?,
+        };
         // Cameras that are given are read even if they do not count, for the images that no output may replace.
-        let counts = self.candidates.is_none() || self.gain == Gain::Coverage || self.cameras.cameras.is_some();
-        let training = if counts { self.training(&opened, &files)? } else { Vec::new() };
-        let candidates = self.candidates(&opened, &field, &training, &files)?;
+        let counts = self.candidates.are_made() || self.gain == Gain::Coverage || self.cameras.cameras.is_some();
+        let training = (counts || is_plan || known.is_none()).then(|| self.training(&opened, &files)).transpose()?;
+        let field = match (known, &training) {
+            (Some((_, field)), _) => field,
+            (None, Some(training)) => {
+                let cameras = (&self.cameras, training);
+                compute_field(&opened, cameras, &self.run, Session::for_next_view, save.as_deref(), bars)?
+            }
+            (None, None) => unreachable!("without a field, the training cameras are read"),
+        };
+        let frames = training.as_ref().map_or(&[][..], |training| &training.views.frames);
+        if is_plan {
+            check_training(frames)?;
+        }
+        let candidates = self.candidates.read(&opened, &field, frames, &self.cameras)?;
+        if let Some(views) = &candidates.views {
+            files.images_of("--candidates", views).check()?;
+        }
+        self.rank(&opened, &field, frames, &candidates, bars)
+    }
+
+    fn rank(
+        &self,
+        opened: &OpenedModel,
+        field: &UncertaintyField,
+        frames: &[Frame],
+        candidates: &Candidates,
+        bars: &Bars,
+    ) -> Result<()> {
+        let training: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
         let settings = Settings::default().take(self.take as usize).gain(self.gain);
         let settings = settings.pixels(self.pixels).seed(self.seed);
-        let next = NextView::new(&*opened.model, &field, &candidates.cameras)
+        let places = self.object.as_ref().map(|object| object.places(field.lattice())).transpose()?;
+        let contains = places.as_ref().map(|places| |x| places.contains(x));
+        let next = NextView::new(&*opened.model, field, &candidates.cameras)
             .training(&training)
             .settings(settings)
+            .region(contains.as_ref().map(|contains| -> Region { contains }))
             .monitor(bars);
         let ranking = next.run()?;
         let asked = octobayes_session::Candidates {
             model: &*opened.model,
             model_name: &opened.name,
-            field: &field,
-            file: self.candidates.as_deref(),
+            field,
+            file: self.candidates.file(),
             names: &candidates.names,
             cameras: &candidates.cameras,
             training: &training,
@@ -200,9 +212,30 @@ impl Args {
         if let Some(doubt) = ranking.doubt() {
             tell(Message::Note(doubt));
         }
-        let value = self.facts(&candidates, &settings, &ranking);
-        self.write(&value, &candidates, &ranking)?;
-        self.print(&value, &candidates, &ranking)?;
+        let value = self.facts(candidates, &settings, &ranking);
+        if is_html(&self.output)? {
+            let images = image_settings(field);
+            let renderer = opened.model.for_images(&images, bars)?;
+            let planner = Planner {
+                renderer: &*renderer,
+                pixel_offset: images.offset_for(&*opened.model),
+                training: frames,
+                unit: self.unit.unit(),
+                up: self.candidates.up,
+                gain: self.gain,
+                bars,
+            };
+            let of_what = self.candidates.words(candidates.names.len());
+            planner.write(&self.output, &opened.name, &of_what, &next, candidates, &ranking)?;
+        } else {
+            AtomicFile::write(&self.output, format!("{value:#}\n").as_bytes())?;
+        }
+        if let Some(path) = &self.chosen {
+            let taken = ranking.steps.iter().map(|step| step.index);
+            let taken: Vec<_> = taken.map(|k| (candidates.names[k].clone(), candidates.cameras[k])).collect();
+            write_transforms(path, &taken)?;
+        }
+        self.print(&value, candidates, &ranking)?;
         if !ranking.complete {
             let finished = format!("{} holds {} of {} views", self.output.display(), ranking.steps.len(), self.take);
             return Err(Error::InterruptedAfter { finished });
@@ -214,37 +247,10 @@ impl Args {
     }
 
     /// The training cameras, of --cameras or the model's own.
-    fn training(&self, opened: &OpenedModel, files: &CommandFiles) -> Result<Vec<Camera>> {
+    fn training(&self, opened: &OpenedModel, files: &CommandFiles) -> Result<TrainingCameras> {
         let cameras = self.cameras.training(&FrameOptions { views: None }, Some(&*opened.model), &opened.name)?;
         files.clone().images(&cameras.views).check()?;
-        Ok(cameras.views.cameras())
-    }
-
-    fn candidates(
-        &self,
-        opened: &OpenedModel,
-        field: &UncertaintyField,
-        training: &[Camera],
-        files: &CommandFiles,
-    ) -> Result<Candidates> {
-        let made = match (&self.candidates, self.sphere, self.orbit) {
-            (Some(path), ..) => {
-                let (file, resolution) = (Some(path.clone()), self.cameras.resolution);
-                let source = CameraSource { file, resolution, ..CameraSource::default() };
-                let views = source.read(None, &mut tell)?;
-                files.clone().images_of("--candidates", &views).check()?;
-                let (names, cameras) = views.frames.into_iter().map(|frame| (frame.name, frame.camera)).unzip();
-                return Ok(Candidates { names, cameras });
-            }
-            (None, Some(count), _) => Made::Sphere { count, is_upper: self.upper },
-            (None, None, count) => Made::Orbit { count: count.unwrap_or(1) },
-        };
-        let around = Around::like(training, field.lattice().domain(), self.up)?;
-        let (names, cameras, buried) = made.cameras(&around, &*opened.model, field.record().march_step);
-        if buried > 0 {
-            announce!("note: {buried} cameras of --{} stand in matter and are left out", made.kind());
-        }
-        Ok(Candidates { names, cameras })
+        Ok(cameras)
     }
 
     /// What `ranking.json` holds.
@@ -252,19 +258,9 @@ impl Args {
         let mut value = json!(Report::new(settings, ranking, &candidates.names));
         value["version"] = json!(env!("CARGO_PKG_VERSION"));
         value["model"] = json!(self.model.model);
-        value["field"] = json!(self.field.to_string_lossy());
+        let save = self.output.with_extension("oct");
+        value["field"] = json!(self.field.as_ref().unwrap_or(&save).to_string_lossy());
         value
-    }
-
-    fn write(&self, value: &Value, candidates: &Candidates, ranking: &Ranking) -> Result<()> {
-        let mut file = AtomicFile::create(&self.output)?;
-        let text = format!("{value:#}\n");
-        file.write_all(text.as_bytes()).map_err(Error::io(&self.output, "cannot write"))?;
-        file.commit()?;
-        let Some(path) = &self.chosen else { return Ok(()) };
-        let taken = ranking.steps.iter().map(|step| step.index);
-        let taken: Vec<_> = taken.map(|k| (candidates.names[k].clone(), candidates.cameras[k])).collect();
-        write_transforms(path, &taken)
     }
 
     fn print(&self, value: &Value, candidates: &Candidates, ranking: &Ranking) -> Result<()> {
@@ -282,6 +278,15 @@ impl Args {
             announce!("note: no other candidate adds information to these {}", ranking.steps.len());
         }
         Ok(())
+    }
+}
+
+/// Whether the output is to be a page; refuses all but HTML and JSON.
+fn is_html(path: &Path) -> Result<bool> {
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("html") => Ok(true),
+        Some("json") => Ok(false),
+        _ => Err(Error::extension(path, "`.html` for a plan, or `.json` for a ranking")),
     }
 }
 
