@@ -256,7 +256,7 @@ mod tests {
         let eye = |azimuth: f64| 3.0 * f64::from(scale) * DVec3::new(azimuth.cos(), azimuth.sin(), 0.2);
         let camera = |azimuth| Camera::look_at(eye(azimuth), DVec3::ZERO, DVec3::Z, 0.5, [96; 2]);
         let cameras = [-0.9, -0.6, -0.3, 0.0, 0.3, 0.6, 0.9].map(camera);
-        let domain = octobayes::geometry::Domain::Box(ball.bounds());
+        let domain = Domain::Box(ball.bounds());
         let data = DataScale::from_cameras(&cameras, 0.01, &domain).unwrap();
         let grid = GridSettings::default().level(level).covariance(Covariance::Block).scale(Scale::Data(data));
         let rays = RaySettings::default().rays(400_000).occupancy(32);

@@ -78,7 +78,7 @@ impl Around {
     }
 
     /// At most `count` cameras where a photographer may stand who took the others: on lines through two places of
-    /// theirs, from [`BEYOND`] before the first to as much behind the second. They look at points of `targets`, from
+    /// theirs, or a little before the first and behind the second. They look at points of `targets`, from
     /// no nearer than most others do.
     #[must_use]
     pub fn near(&self, count: u32, targets: &[DVec3]) -> Vec<Camera> {

@@ -240,8 +240,9 @@ fn photographs_that_were_not_used_are_candidates() {
         std::fs::create_dir(desk.join(folder)).unwrap();
     }
     let image = image::RgbImage::new(48, 40);
-    ["images/r_0", "images/r_1", "images/r_2", "left/r_3"]
-        .map(|name| image.save(desk.join(&format!("{name}.png"))).unwrap());
+    for name in ["images/r_0", "images/r_1", "images/r_2", "left/r_3"] {
+        image.save(desk.join(format!("{name}.png"))).unwrap();
+    }
     desk.write("all.txt", "r_0\nr_2.png\n\nleft/r_3.png\n");
     let rank = "next-view scene.ply scene.oct --cameras split.json -o r.json";
     let names = |unused: &str| -> Vec<String> {

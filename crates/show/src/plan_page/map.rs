@@ -123,7 +123,7 @@ impl PlanMap {
                 k + 1
             );
         }
-        let _ = write!(svg, "</svg><figcaption>{caption}</figcaption></figure>\n");
+        let _ = writeln!(svg, "</svg><figcaption>{caption}</figcaption></figure>");
         Ok(svg)
     }
 }
