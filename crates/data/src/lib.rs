@@ -41,6 +41,7 @@ mod inria;
 mod intrinsics;
 mod jpeg;
 mod mask_folders;
+mod metashape;
 mod nerfstudio;
 #[doc(hidden)]
 pub mod npy;

@@ -7,6 +7,8 @@ type Kind = (&'static str, &'static str);
 
 const OF_DATA_SET: &str = "pass the transforms.json or the COLMAP model of the data set";
 const AS_TRANSFORMS: &str = "write poses and lens as a transforms.json, with camera-to-world matrices in OpenGL's axes";
+const OF_REALITY_SCAN: &str =
+    "export the registration in COLMAP's text format, with undistorted images, and pass that folder";
 const OF_RUN: &str = "name it dataparser_transforms.json, beside the data set's transforms.json or COLMAP model";
 
 /// Recognises JSON that holds no cameras of a data set.
@@ -56,11 +58,7 @@ fn of_object(file: &Map<String, Value>) -> Option<Kind> {
 /// Recognises text that is no JSON, by its first lines.
 pub(super) fn text(text: &str) -> Option<Kind> {
     let start = text.trim_start_matches('\u{feff}').trim_start();
-    let starts: [(&str, Kind); 7] = [
-        (
-            "<",
-            ("XML (cameras.xml of Metashape?)", "export them in COLMAP's format, or use `ns-process-data metashape`"),
-        ),
+    let starts: [(&str, Kind); 6] = [
         ("# Bundle file", ("the bundle.out of Bundler", AS_TRANSFORMS)),
         ("NVM_V3", ("the .nvm of VisualSFM", AS_TRANSFORMS)),
         ("!!python/object:nerfstudio", ("the config.yml of a nerfstudio run", OF_DATA_SET)),
@@ -80,7 +78,7 @@ pub(super) fn text(text: &str) -> Option<Kind> {
     match words.len() {
         // KITTI has matrices of three rows.
         7 | 8 | 12 if are_numbers => Some(("a trajectory (TUM, KITTI?), without a lens", AS_TRANSFORMS)),
-        _ if line.matches(',').count() >= 3 => Some(("a table (.csv of RealityCapture?)", AS_TRANSFORMS)),
+        _ if line.matches(',').count() >= 3 => Some(("a table (.csv of RealityScan?)", OF_REALITY_SCAN)),
         _ => None,
     }
 }
@@ -122,7 +120,6 @@ mod tests {
             assert!(kind.contains(name) && !instead.is_empty(), "{text}: {kind}");
         }
         for (lines, name) in [
-            ("<?xml version=\"1.0\"?>\n<document>", "Metashape"),
             ("# Bundle file v0.3\n3 10\n", "Bundler"),
             ("NVM_V3\n\n3\n", "VisualSFM"),
             ("!!python/object:nerfstudio.engine.trainer.TrainerConfig\n", "config.yml"),

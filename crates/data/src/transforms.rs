@@ -1,5 +1,5 @@
 //! Camera files: transforms.json of the original NeRF, instant-ngp and nerfstudio; and the cameras.json of Gaussian
-//! splatting, which becomes one.
+//! splatting and the cameras.xml of Metashape, which become one.
 //!
 //! A key that changes rays is applied or refused by name; unknown keys are listed in a note.
 //! `docs/src/formats.md` has the table of all keys. `transform_matrix` is camera-to-world with OpenGL axes (x right, y
@@ -23,7 +23,7 @@ use super::pose::rigid_pose;
 use super::sizes::Head;
 use super::split::Lists;
 use super::views::{Frame, Purpose, ResolutionSource, Views};
-use super::{inria, nerfstudio, other_kinds};
+use super::{inria, metashape, nerfstudio, other_kinds};
 use octobayes::geometry::{Camera, MAX_PIXELS, MAX_SIDE};
 use octobayes::{Error, Result};
 
@@ -205,7 +205,7 @@ pub(super) fn read(path: &Path, chosen: Option<&str>, requested: Option<[u32; 2]
     let folder = path.parent().unwrap_or(Path::new(""));
     let keys: BTreeSet<String> = raw.iter().flat_map(|frame| frame.unknown.keys().cloned()).collect();
     let mut notes = file.notes(&keys, &raw);
-    let pictures = &Pictures::find(folder, chosen, matches!(origin, Origin::Splatting), &raw);
+    let pictures = &Pictures::find(folder, chosen, matches!(origin, Origin::Splatting | Origin::Metashape(_)), &raw);
     if chosen.is_none() {
         notes.extend(pictures.instead.and_then(|instead| note_of_smaller(Path::new(instead))));
     }
@@ -249,6 +249,7 @@ pub(super) fn read(path: &Path, chosen: Option<&str>, requested: Option<[u32; 2]
     lists.apply(path, folder, &mut frames)?;
     match origin {
         Origin::Transforms => {}
+        Origin::Metashape(note) => notes.extend(note),
         Origin::Splatting => notes.extend(inria::purposes(&mut frames)),
         Origin::Export => {
             let is_eval = path.file_name().is_some_and(|name| name.to_string_lossy().contains("eval"));
@@ -281,7 +282,6 @@ fn listed_twice(frames: &[Frame]) -> Option<String> {
 }
 
 /// What a transforms.json was made of.
-#[derive(Clone, Copy)]
 enum Origin {
     Transforms,
     /// The cameras.json of Gaussian splatting.
@@ -290,6 +290,8 @@ enum Origin {
     Export,
     /// A camera path of nerfstudio's viewer.
     CameraPath,
+    /// The cameras.xml of Metashape, with a note on cameras that it does not place.
+    Metashape(Option<String>),
 }
 
 /// Other files as a transforms.json, as far as they hold cameras.
@@ -316,6 +318,12 @@ fn parse(path: &Path) -> Result<(RawFile, Origin)> {
         return Err(other(kind));
     }
     let text = octobayes::io::text_of(path, bytes)?;
+    if metashape::is_xml(&text) {
+        let (file, note) = metashape::as_transforms(path, &text)?;
+        let file = serde_json::from_value(file);
+        let file = file.map_err(|e| Error::malformed(path, "cameras", "a cameras.xml of Metashape", e.to_string()))?;
+        return Ok((file, Origin::Metashape(note)));
+    }
     let parsed: std::result::Result<RawFile, _> = serde_json::from_str(&text);
     let parsed = match parsed {
         Ok(file) if file.frames.as_ref().is_some_and(|frames| !frames.is_empty()) => {

@@ -87,9 +87,10 @@ pub struct Views {
 }
 
 impl Views {
-    /// Reads a camera file: a transforms.json, the cameras.json of Gaussian splatting, a sparse model of COLMAP (one of
-    /// its files, or its folder), or either in the frame of a run of nerfstudio, by its dataparser_transforms.json. A
-    /// folder of pictures, such as `images` or `images_4`, means these pictures with the cameras beside it.
+    /// Reads a camera file: a transforms.json, the cameras.json of Gaussian splatting, the cameras.xml of Metashape, a
+    /// sparse model of COLMAP (one of its files, or its folder), or either in the frame of a run of nerfstudio, by its
+    /// dataparser_transforms.json. A folder of pictures, such as `images` or `images_4`, means these pictures with the
+    /// cameras beside it.
     ///
     /// Pixels of intrinsics refer to `w` and `h`, else to the frame's own image, else to the other images. The
     /// cameras' size is the `requested` one, else that of the frame's image if it is the same picture at another size,

@@ -148,8 +148,8 @@ impl CameraFile {
 /// A camera file, or the cameras that come with the model.
 #[derive(Args)]
 pub struct CameraOptions {
-    /// Training cameras: transforms.json, a COLMAP model (or the folder of either), or the cameras.json of Gaussian
-    /// splatting [default: the cameras that the model stores]
+    /// Training cameras: transforms.json, a COLMAP model (or the folder of either), the cameras.json of Gaussian
+    /// splatting, or the cameras.xml of Metashape [default: the cameras that the model stores]
     ///
     /// transforms.json has intrinsics and camera-to-world poses with OpenGL axes. A COLMAP model is the folder of
     /// cameras and images, .bin or .txt, or one above that has sparse/0. In a folder, transforms_train.json will do.
