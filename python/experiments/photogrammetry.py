@@ -15,6 +15,7 @@ WORK keeps what is done; a run that was interrupted goes on from there.
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import os
 import platform
@@ -55,8 +56,12 @@ EDGE = 0.05
 class Scene:
     """Photographs with poses, in a folder with a transforms.json; the true distance at each pixel, NaN if unknown."""
 
-    def __init__(self, name: str, folder: Path, box: str | None, truth: list[np.ndarray]) -> None:
+    def __init__(
+        self, name: str, folder: Path, box: str | None, truth: list[np.ndarray], rounding: float = 0.0
+    ) -> None:
         self.name, self.folder, self.box, self.truth = name, folder, box, truth
+        #: The deviation of the truth: that of a step of its maps.
+        self.rounding = rounding
         file = json.loads((folder / "transforms.json").read_text())
         self.frames = file["frames"]
         with Image.open(folder / self.frames[0]["file_path"]) as image:
@@ -154,11 +159,13 @@ def lego(data: Path, work: Path) -> Scene:
         stem = Path(frame["file_path"]).name
         shutil.copy(source / "test" / f"{stem}.png", folder / f"{stem}.png")
         frames.append({"file_path": f"{stem}.png", "transform_matrix": frame["transform_matrix"]})
-        known = 8 - 8 * np.array(Image.open(source / "test" / f"{stem}_depth_0001.png").convert("RGBA"))[..., 0] / 255
-        truth.append(np.where(known < 7.9, known, np.nan))
+        known = 8 - 8 * np.array(Image.open(source / "test" / f"{stem}_depth_0001.png"))[..., 0].astype(float) / 255
+        # Maps were made smaller: pixels at silhouettes mix object and background.
+        is_opaque = np.array(Image.open(folder / f"{stem}.png").convert("RGBA"))[..., 3] == 255
+        truth.append(np.where((known < 7.9) & is_opaque, known, np.nan))
     width = truth[0].shape[1]
     write_transforms(folder, 0.5 * width / np.tan(0.5 * file["camera_angle_x"]), frames)
-    return Scene("lego", folder, None, truth)
+    return Scene("lego", folder, None, truth, rounding=8 / 255 / np.sqrt(12))
 
 
 def triangulated(scene: Scene, work: Path) -> dict[str, np.ndarray]:
@@ -230,8 +237,9 @@ def observations(scene: Scene, found: Any, stems: dict[str, int]) -> dict[str, n
     return {name: column[known] for name, column in columns.items()}
 
 
-def rendered(scene: Scene, work: Path, program: str, steps: int) -> dict[str, list[np.ndarray]]:
-    """What `ob.depth` sees through all cameras, with photographs and from the field alone."""
+def rendered(scene: Scene, work: Path, program: str, steps: int) -> dict[str, dict[int, np.ndarray]]:
+    """What `ob.depth` sees, with photographs and from the field alone, by the numbers of the scene's frames: those that
+    `train` did not hold out."""
     model = work / f"{scene.name}.safetensors"
     if not model.exists():
         box = [] if scene.box is None else [f"--box={scene.box}"]
@@ -242,12 +250,10 @@ def rendered(scene: Scene, work: Path, program: str, steps: int) -> dict[str, li
         ob.uncertainty(str(model), cameras, for_="depth", rays=500_000, gradient="auto", progress=False).save(field)
     views = ob.depth(str(model), cameras, str(field), stride=STRIDE, progress=False)
     alone = ob.depth(str(model), cameras, str(field), images=False, stride=STRIDE, progress=False)
-    return {
-        "depth": [view["depth"] for view in views],
-        "trust": [view["trust"] for view in views],
-        "with photographs": [view["sigma"] for view in views],
-        "field alone": [view["sigma"] for view in alone],
-    }
+    numbers = {frame["file_path"]: i for i, frame in enumerate(scene.frames)}
+    found = {"depth": (views, "depth"), "trust": (views, "trust")}
+    found |= {"with photographs": (views, "sigma"), "field alone": (alone, "sigma")}
+    return {key: {numbers[view["name"]]: view[name] for view in of} for key, (of, name) in found.items()}
 
 
 def curve(order: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -270,13 +276,21 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def row(
-    name: str, order: np.ndarray, error: np.ndarray, share: float, sigma: np.ndarray | None = None
+    name: str,
+    order: np.ndarray,
+    off: np.ndarray,
+    share: float,
+    sigma: np.ndarray | None = None,
+    rounding: float = 0.0,
 ) -> dict[str, Any]:
+    """`off`: by how much depths are too large, with the rounding of the truth, which is counted beside `sigma`."""
+    error = np.abs(off)
     common, start = areas(order, error)
     found = {"name": name, "share": share, "pixels": len(error), "error": float(np.median(error))}
+    found["too large"] = float(np.median(off))
     found |= {"ause": common, "start": start, "rho": correlation(order, error)}
     if sigma is not None:
-        found["held"] = [float((error <= w * sigma).mean()) for w in WITHIN]
+        found["held"] = [float((error <= w * np.hypot(sigma, rounding)).mean()) for w in WITHIN]
         found["width"] = float(np.median(2 * WITHIN[2] * sigma))
     return found
 
@@ -284,19 +298,22 @@ def row(
 def judged(scene: Scene, work: Path, program: str, steps: int) -> list[dict[str, Any]]:
     colmap = triangulated(scene, work / f"{scene.name}-colmap")
     seen = rendered(scene, work, program, steps)
-    error = np.abs(colmap["distance"] - colmap["true"])
-    pixels = sum(np.isfinite(scene.true(i, middles(depth))).sum() for i, depth in enumerate(seen["depth"]))
+    # Both are judged on the same images.
+    is_seen = np.isin(colmap["camera"], list(seen["depth"]))
+    colmap = {name: column[is_seen] for name, column in colmap.items()}
+    error = colmap["distance"] - colmap["true"]
+    pixels = sum(np.isfinite(scene.true(i, middles(depth))).sum() for i, depth in seen["depth"].items())
     # A pixel of the photograph is answered if a point lies in it.
     answered = np.unique(np.stack([colmap["camera"], colmap["u"] // 1, colmap["v"] // 1]), axis=1).shape[1]
     share = answered / (pixels * STRIDE**2)
     rows = [
-        row("COLMAP: σ", colmap["sigma"], error, share, colmap["sigma"]),
+        row("COLMAP: σ", colmap["sigma"], error, share, colmap["sigma"], scene.rounding),
         row("COLMAP: track length", -colmap["track"], error, share),
         row("COLMAP: distance", colmap["distance"], error, share),
         row("COLMAP: random", np.random.default_rng(0).random(len(error)), error, share),
     ]
     places, whole = [], []
-    for i, depth in enumerate(seen["depth"]):
+    for i, depth in seen["depth"].items():
         chosen = colmap["camera"] == i
         x, y = (np.round((colmap[axis][chosen] - 0.5) / STRIDE).astype(int) for axis in "uv")
         at = np.clip(y, 0, depth.shape[0] - 1) * depth.shape[1] + np.clip(x, 0, depth.shape[1] - 1)
@@ -311,8 +328,8 @@ def judged(scene: Scene, work: Path, program: str, steps: int) -> list[dict[str,
             true = np.concatenate([true for _, _, true in chosen])
             known = np.isfinite(depth) & np.isfinite(sigma)
             of_all = known.sum() / pixels if answered is None else answered * known.mean()
-            wrong = np.abs(depth - true)[known]
-            rows.append(row(f"σ, {kind}, {where}", sigma[known], wrong, of_all, sigma[known]))
+            wrong = (depth - true)[known]
+            rows.append(row(f"σ, {kind}, {where}", sigma[known], wrong, of_all, sigma[known], scene.rounding))
         rows.append(row(f"distance, {where}", depth[known], wrong, of_all))
     return rows
 
@@ -323,27 +340,40 @@ def middles(depth: np.ndarray) -> np.ndarray:
     return np.stack([u.ravel(), v.ravel()], 1)
 
 
-def table(results: dict[str, list[dict[str, Any]]]) -> str:
-    head = ["scene", "order", "pixels answered", "median error", "AUSE", "by the start", "ρ"]
-    head += [f"{p} % holds" for p in NOMINAL] + ["width of 90 %"]
+def written(found: dict[str, Any]) -> list[str]:
+    """A row as text."""
+    held = [f"{100 * share:.1f}" for share in found["held"]] if "held" in found else [""] * len(NOMINAL)
+    numbers = [f"{found[name]:.3f}" for name in ("ause", "start", "rho")]
+    lengths = [f"{found[name]:.4f}" for name in ("error", "too large")]
+    width = f"{found['width']:.4f}" if "width" in found else ""
+    return [found["name"], str(found["pixels"]), f"{100 * found['share']:.2g}", *lengths, *numbers, *held, width]
+
+
+def main_table(results: dict[str, list[dict[str, Any]]]) -> str:
+    """Per scene: COLMAP at its points, ours there, and ours wherever a depth is trusted."""
+    head = ["scene", "whose depths", "% answered", "median error", "too large by", "90 % holds", "AUSE", "by the start"]
     lines = [head, ["---"] * len(head)]
+    names = {
+        "COLMAP: σ": "COLMAP",
+        "σ, with photographs, the same pixels": "`depth`, the same pixels",
+        "σ, with photographs, trusted pixels": "`depth`, trusted pixels",
+    }
     for scene, rows in results.items():
         for found in rows:
-            held = [f"{100 * share:.0f}" for share in found["held"]] if "held" in found else ["–"] * len(NOMINAL)
-            lines.append(
-                [
-                    scene,
-                    found["name"],
-                    f"{100 * found['share']:.2g} %",
-                    f"{found['error']:.4f}",
-                    f"{found['ause']:.3f}",
-                    f"{found['start']:.3f}",
-                    f"{found['rho']:.2f}",
-                    *held,
-                    f"{found['width']:.4f}" if "width" in found else "–",
-                ]
-            )
+            if found["name"] in names:
+                _, _, share, error, off, ause, start, _, _, _, ninety, _, _ = written(found)
+                lines.append([scene, names[found["name"]], share, error, off, ninety, ause, start])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def write_all(path: Path, results: dict[str, list[dict[str, Any]]]) -> None:
+    """All rows, as CSV."""
+    head = ["scene", "order", "pixels", "answered_%", "median_error", "median_too_large", "ause_common", "ause_start"]
+    head += ["rank_correlation", *(f"{p}_%_holds" for p in NOMINAL), "median_width_of_90_%"]
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(head)
+        rows.writerows([scene, *written(found)] for scene, all_rows in results.items() for found in all_rows)
 
 
 def main() -> None:
@@ -370,8 +400,9 @@ def main() -> None:
     after = rest.split("<!-- end generated -->")[1]
     stamp = f"*octobayes {ob.__version__}, pycolmap {pycolmap.__version__}, {platform.machine()}, "
     stamp += f"{time.strftime('%Y-%m-%d')}; {COUNT} images, {given.steps} steps of training, seed 0.*"
-    block = f"<!-- begin generated -->\n{stamp}\n\n{table(results)}\n<!-- end generated -->"
+    block = f"<!-- begin generated -->\n{stamp}\n\n{main_table(results)}\n<!-- end generated -->"
     report.write_text(before + block + after)
+    write_all(HERE / "photogrammetry.csv", results)
 
 
 if __name__ == "__main__":

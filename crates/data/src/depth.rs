@@ -95,6 +95,8 @@ pub struct DepthMap {
     pub resolution: [u32; 2],
     /// `[height · width]`: Euclidean distance in scene units, above 0 and finite; or why there is none.
     pub distance: Vec<std::result::Result<f64, Unmeasured>>,
+    /// How much depths that follow each other differ, scene units; 0 if depths are floats.
+    pub step: f64,
 }
 
 impl DepthMap {
@@ -107,15 +109,19 @@ impl DepthMap {
     /// If the file is missing or damaged, or if it is no map of the camera's whole picture by the ratio of its sides.
     pub fn read(path: &Path, encoding: DepthEncoding, camera: &Camera, pixel_offset: f64) -> Result<Self> {
         let resolution = camera.resolution;
-        let ([w, h], depths) =
-            if is_exact(path) { exact(path, resolution)? } else { steps(path, encoding, resolution)? };
+        let ([w, h], depths, step) = if is_exact(path) {
+            let (size, depths) = exact(path, resolution)?;
+            (size, depths, 0.0)
+        } else {
+            steps(path, encoding, resolution)?
+        };
         let at = |column: u32, row: u32| {
             let [x, y] = [column, row].map(|n| f64::from(n) + pixel_offset);
             let place = [nearest(column, w, resolution[0]), nearest(row, h, resolution[1])].map(|n| n as usize);
             in_front(depths[place[1] * w as usize + place[0]]? * encoding.kind.stretch(camera, x, y))
         };
         let distance = (0..resolution[1]).flat_map(|row| (0..resolution[0]).map(move |column| (column, row)));
-        Ok(Self { resolution, distance: distance.map(|(column, row)| at(column, row)).collect() })
+        Ok(Self { resolution, distance: distance.map(|(column, row)| at(column, row)).collect(), step })
     }
 
     /// Marks distances beyond the reach of a model that is empty outside `bounds`: behind the corner that is farthest
@@ -198,12 +204,13 @@ fn array(path: &Path, resolution: [u32; 2]) -> Result<([u32; 2], Vec<f32>)> {
     Ok((size, stream.into_reals()?.data))
 }
 
-/// Width and height of a PNG, and its depths.
-fn steps(path: &Path, encoding: DepthEncoding, resolution: [u32; 2]) -> Result<([u32; 2], Vec<Reading>)> {
+/// Width and height of a PNG, its depths, and how far apart they are at least.
+fn steps(path: &Path, encoding: DepthEncoding, resolution: [u32; 2]) -> Result<([u32; 2], Vec<Reading>, f64)> {
     let size = Head::read(path).map_or(resolution, |head| head.size);
     check_size(path, size, resolution)?;
     let image = decode(path, "depth map", size)?;
     refuse_colours(path, &image)?;
+    let levels = if image.color().bytes_per_pixel() / image.color().channel_count() == 2 { 65535.0 } else { 255.0 };
     let raw: Vec<f64> = match &image {
         image::DynamicImage::ImageLuma16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
         image::DynamicImage::ImageLumaA16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
@@ -216,7 +223,7 @@ fn steps(path: &Path, encoding: DepthEncoding, resolution: [u32; 2]) -> Result<(
         1.0 => Err(Unmeasured::Largest),
         p => Ok(encoding.offset + encoding.scale * p),
     };
-    Ok((size, raw.into_iter().map(reading).collect()))
+    Ok((size, raw.into_iter().map(reading).collect(), encoding.scale.abs() / levels))
 }
 
 /// Refuses false colours, and depths packed into several channels: their first channel is no depth.
@@ -252,7 +259,7 @@ mod tests {
         let camera = Camera::look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z, 0.7, [4, 4]);
         let encoding = DepthEncoding { offset: 0.0, scale: 65.535, kind: DepthKind::Z };
         let map = DepthMap::read(&path, encoding, &camera, 0.5).unwrap();
-        assert_eq!(map.distance[0], Err(Unmeasured::Zero));
+        assert_eq!((map.distance[0], map.step), (Err(Unmeasured::Zero), 0.001));
         // The point at that distance along the pixel's ray has z-depth 32.768.
         let point = camera.ray(3.5, 1.5).at(map.distance[7].unwrap());
         assert!((camera.project(point).unwrap().1 - 32.768).abs() < 1e-9);
@@ -264,7 +271,7 @@ mod tests {
         // The farthest corners are at (±1, 1, ±1), and the diagonal is √12.
         let reach = 27_f64.sqrt() + 12_f64.sqrt();
         let distance = vec![Ok(0.1), Ok(reach - 1e-9), Ok(reach + 1e-9), Err(Unmeasured::Zero)];
-        let map = DepthMap { resolution: [4, 1], distance }.within(&Aabb::centered_cube(1.0), &camera);
+        let map = DepthMap { resolution: [4, 1], distance, step: 0.0 }.within(&Aabb::centered_cube(1.0), &camera);
         let expected = [Ok(0.1), Ok(reach - 1e-9), Err(Unmeasured::Beyond), Err(Unmeasured::Zero)];
         assert_eq!(map.distance, expected);
     }

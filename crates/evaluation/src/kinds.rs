@@ -36,6 +36,8 @@ pub struct TrueParts {
     pub object: Vec<bool>,
     /// What a depth changes by where it jumps, scene units.
     pub jump: f64,
+    /// Standard deviation of true depths that are known in steps, scene units: a step / √12.
+    pub rounding: f64,
 }
 
 /// Where a pixel lies in the true depth map of its view.
@@ -158,7 +160,7 @@ mod tests {
         let text: Vec<char> = rows.iter().flat_map(|row| row.chars()).collect();
         let distance = |c: &char| c.to_digit(10).map(f64::from).ok_or(Unmeasured::Zero);
         let resolution = size.map(|n| n as u32);
-        let map = DepthMap { resolution, distance: text.iter().map(distance).collect() };
+        let map = DepthMap { resolution, distance: text.iter().map(distance).collect(), step: 0.0 };
         outlines(&map, size, |i| text[i] == '.', 1.5)
     }
 

@@ -128,7 +128,7 @@ fn kinds_of_pixels_are_judged_apart() {
     let object: Vec<bool> = (0..48 * 48).map(|i| i % 48 < 16).collect();
     let silhouette = |i: usize| Outline { is_silhouette: i.is_multiple_of(7), is_thin: false };
     let outlines = (0..48 * 48).map(silhouette).collect();
-    let truth = TrueView { parts: TrueParts { outlines, object, jump: 0.2 }, ..truth };
+    let truth = TrueView { parts: TrueParts { outlines, object, jump: 0.2, rounding: 0.0 }, ..truth };
     let views = [evaluator.evaluate(&truth, 0, &Silent).unwrap()];
     let found = OfKind::all(&evaluator, &views);
     // Thin has no pixels. No median is nearer than its true depth.
@@ -204,6 +204,15 @@ fn depths_that_training_cameras_see_are_confirmed_and_calibrated_by_themselves()
     assert_eq!(found.share, errors.len() as f64 / all as f64);
     assert_eq!(found.calibration, Calibration::new(&errors, &deviations));
     assert_ne!(found.calibration, evaluator.calibration(&views, weights));
+    // Truth that is known in steps is as wrong as that beside the deviation.
+    let known = truth(&ball, &from(DVec3::new(3.0, 0.0, 0.5)));
+    let known = TrueView { parts: TrueParts { rounding: 0.3, ..known.parts.clone() }, ..known };
+    let rounded = evaluator.evaluate(&known, 0, &Silent).unwrap();
+    let wider: Vec<f64> = rounded.spread.iter().map(|s| (s * s + 0.09).sqrt()).collect();
+    let (expected, found) =
+        (Calibration::new(&rounded.absolute_error, &wider), evaluator.calibration(&[rounded], weights));
+    let held = |of: Option<Calibration>| of.unwrap().coverage;
+    assert!(held(found).iter().zip(held(expected)).all(|(a, b)| (a[1] - b[1]).abs() < 1e-12));
     // Without training cameras nothing is confirmed, and nothing refused.
     let view = without.evaluate(&truth(&ball, &from(DVec3::new(3.0, 0.0, 0.5))), 0, &Silent).unwrap();
     assert!(view.confirmed.is_empty() && without.calibration_of(&[view], 0, |view| &view.confirmed).is_none());

@@ -104,6 +104,8 @@ impl TrueView {
             outlines: outlines.iter().flat_map(|all| pixels.iter().map(|&i| all[i])).collect(),
             object: object.collect(),
             jump,
+            // Of numbers rounded to steps.
+            rounding: truth.as_ref().map_or(0.0, |map| map.step / 12_f64.sqrt()),
         };
         Ok(Self {
             name: frame.name.clone(),

@@ -69,7 +69,8 @@ impl Report {
                     };
                 // Errors within their interval, and all, of each view.
                 let held = |v: &EvaluatedView| -> [f64; 2] {
-                    let (errors, deviations) = (judged.of(v, &v.absolute_error), judged.of(v, &v.measures[m]));
+                    let deviations = judged.of(v, &v.with_rounding(&v.measures[m]));
+                    let errors = judged.of(v, &v.absolute_error);
                     let held = errors.iter().zip(&deviations).filter(|(e, s)| **e <= factor * **s).count();
                     [held as f64, errors.len() as f64]
                 };

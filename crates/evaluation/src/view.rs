@@ -57,6 +57,9 @@ pub struct EvaluatedView {
     pub confirmed: Vec<bool>,
     /// `[n]` for every kind that is known: whether the pixel is of it.
     pub kinds: Vec<(PixelKind, Vec<bool>)>,
+    /// Standard deviation of the true depths, scene units, if they are known in steps: it counts beside a deviation of
+    /// depth where errors are to lie within it.
+    pub rounding: f64,
     /// Pixels with a true depth where the model shows nothing. They are left out,
     /// because there is no depth to compare.
     pub empty: usize,
@@ -65,6 +68,12 @@ pub struct EvaluatedView {
 }
 
 impl EvaluatedView {
+    /// Deviations of differences to the true depths.
+    #[must_use]
+    pub fn with_rounding(&self, deviations: &[f64]) -> Vec<f64> {
+        deviations.iter().map(|deviation| deviation.hypot(self.rounding)).collect()
+    }
+
     /// `[n]`: whether a pixel is of a kind; `None` if the kind is not known.
     #[must_use]
     pub fn of_kind(&self, kind: PixelKind) -> Option<&[bool]> {
@@ -226,6 +235,7 @@ impl<'a> Evaluator<'a> {
             never_seen,
             confirmed,
             kinds,
+            rounding: truth.parts.rounding,
             empty: empty.len(),
             rendered,
         })
@@ -273,8 +283,10 @@ impl<'a> Evaluator<'a> {
     fn found_deviations(&self, views: &[EvaluatedView], m: usize) -> Option<Vec<f64>> {
         let of_view = |view: &EvaluatedView| -> Option<Vec<f64>> {
             match self.measures()[m] {
-                Measure::DepthDeviation(_) | Measure::DepthDeviationWithImages(_) => Some(view.measures[m].clone()),
-                Measure::Baseline(Baseline::RayVariance) => Some(view.spread.clone()),
+                Measure::DepthDeviation(_) | Measure::DepthDeviationWithImages(_) => {
+                    Some(view.with_rounding(&view.measures[m]))
+                }
+                Measure::Baseline(Baseline::RayVariance) => Some(view.with_rounding(&view.spread)),
                 _ => None,
             }
         };
@@ -299,7 +311,7 @@ fn kinds(
     never_seen: Option<&[bool]>,
     median: impl Fn(usize) -> f64,
 ) -> Vec<(PixelKind, Vec<bool>)> {
-    let TrueParts { outlines, object, jump } = &truth.parts;
+    let TrueParts { outlines, object, jump, .. } = &truth.parts;
     let mut kinds = Vec::new();
     if !object.is_empty() {
         kinds.push((PixelKind::Object, seen.iter().map(|(i, _)| object[*i]).collect()));

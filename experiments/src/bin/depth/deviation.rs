@@ -126,8 +126,10 @@ fn judge_views(
     let mut rows = Vec::new();
     for (are_own, truths) in [(false, held_out), (true, data.own_views(offset, jump)?)] {
         let (mut errors, mut found) = (Vec::new(), vec![Vec::new(); MEASURES.len() + 1]);
-        let mut terms = Vec::new();
+        let (mut terms, mut rounding) = (Vec::new(), 0.0);
         for truth in &truths {
+            // One for all maps of a scene.
+            rounding = truth.parts.rounding;
             let view = evaluator.evaluate(truth, 0, &Silent)?;
             let object = view.of_kind(PixelKind::Object);
             let by_field = alone.of_view(renderer, &truth.camera, offset, &view.rendered, &Silent)?;
@@ -152,7 +154,8 @@ fn judge_views(
         let held = |sigma: &[f64]| {
             std::array::from_fn(|p| {
                 let within = normal::deviations(PROBABILITIES[p]);
-                errors.iter().zip(sigma).filter(|(e, s)| **e <= within * **s).count() as f64 / errors.len() as f64
+                let holds = |(e, s): &(&f64, &f64)| **e <= within * s.hypot(rounding);
+                errors.iter().zip(sigma).filter(holds).count() as f64 / errors.len() as f64
             })
         };
         let mut sorted = errors.clone();
